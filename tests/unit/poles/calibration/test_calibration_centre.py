@@ -29,7 +29,7 @@ from roadsight.poles.calibration.calibration_centre import (
     told_centre,
 )
 from roadsight.poles.calibration.calibration_together import Tied
-from roadsight.poles.sightings.sighting_bearing import ViewCamera, image_bearings
+from roadsight.poles.sightings.sighting_bearing import ViewCamera, image_bearings, turned_by_camera
 
 START = Start(100.0, 200.0, 5.0, 30.0, 0.0, 0.0, 1000, 600, 499.5, 299.5)
 PRIOR_PX = 15.0
@@ -154,6 +154,30 @@ def test_bearings_carry_the_point_only_as_far_as_the_heading_does_not_undo_it():
     off = wrap_deg(image_bearings(moved, uv, 0.0)[0] - bearing)
     np.testing.assert_allclose(sigma, np.hypot(off, 0.02), rtol=0.05, atol=1e-4)
     assert sigma[2] > sigma[1] > sigma[0]
+
+
+def test_a_focal_length_turns_what_is_left_and_right_of_the_middle_apart():
+    """As another camera sees it whose focal length and heading are off by one sigma together."""
+    lens = Intrinsics(1000, 600, 600.0, 499.5, 299.5)
+    lens_off = replace(lens, focal_px=600.0 * 1.005)
+    camera = ViewCamera(
+        lens,
+        (0.0, 0.0, 2.0),
+        20.0,
+        sigma_heading_deg=float(np.hypot(0.03, 0.04)),
+        sigma_focal_ratio=0.005,
+        heading_by_focal_deg=0.03,
+    )
+    uv = np.column_stack([np.array([10.0, 499.5, 900.0]), np.full(3, 299.5)])
+    bearing, sigma = image_bearings(camera, uv, 0.0)
+    moved = replace(camera, intrinsics=lens_off, heading_deg=20.03)
+    off = wrap_deg(image_bearings(moved, uv, 0.0)[0] - bearing)
+    by_cx, by_focal, by_heading = turned_by_camera(camera, uv).T
+    np.testing.assert_allclose(by_focal, off, rtol=0.02)
+    assert by_focal[0] > 0.03 > by_focal[2]
+    assert not by_cx.any()
+    np.testing.assert_allclose(by_heading, 0.04)
+    np.testing.assert_allclose(sigma, np.hypot(by_focal, 0.04))
 
 
 PLACES = np.column_stack([np.linspace(80, 140, 12), 200 + np.linspace(20, 90, 12)])

@@ -58,7 +58,8 @@ def write_site(folder):
         "x": 5.0, "y": -3.0, "z": 2.5, **angles, "focal_px": own.focal_px, "cx_px": own.cx_px,
         "cy_px": own.cy_px, "width_px": 1000, "height_px": 600, "sigma_heading_deg": 0.1,
         "sigma_pitch_deg": 0.1, "sigma_lateral_m": 0.1, "sigma_along_m": 0.1,
-        "sigma_cx_px": 0.0, "heading_by_cx_deg": 0.0, "pitch_by_cy_deg": 0.0,
+        "sigma_cx_px": 0.0, "heading_by_cx_deg": 0.0, "sigma_focal_ratio": 0.0,
+        "heading_by_focal_deg": 0.0, "pitch_by_cy_deg": 0.0,
     }  # fmt: skip
     rows = [{"image": f"a{i}.jpg", **pose, "accepted": i == 0} for i in range(2)]
     write_table(folder / "cameras.parquet", pd.DataFrame(rows))

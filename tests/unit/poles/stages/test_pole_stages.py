@@ -30,6 +30,7 @@ from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
+from roadsight.poles.triangulate.site import SHARED_COLUMNS
 from roadsight.stages.evidence import compare_components
 from roadsight.stages.poles import (
     measure_poles,
@@ -71,7 +72,8 @@ def site(tmp_path_factory):
     nothing = dict.fromkeys(NETWORK_COLUMNS, np.nan)
     nothing |= dict.fromkeys(("z", "lower_edge_rise", "upper_edge_rise"), np.nan)
     sightings = sightings.assign(view="front", reason="", depth_from="network", **nothing)
-    sightings = sightings.assign(drift_east_m=0.0, drift_north_m=0.0)
+    shared = [name for parts in SHARED_COLUMNS.values() for name in parts]
+    sightings = sightings.assign(**dict.fromkeys(shared, 0.0))
     write_table(folder / "s0.parquet", sightings.iloc[::2])
     write_table(folder / "s1.parquet", sightings.iloc[1::2])
     write_table(folder / "none.parquet", sightings.iloc[:0])
@@ -675,16 +677,17 @@ def test_verb_refuses_bad_values(tmp_path):
         run_verb(tmp_path / "none.csv", "-o", tmp_path / "p.csv")
 
 
-def test_errors_along_the_way_go_with_the_vehicle():
-    """East at 90 degrees from north; nothing where a camera states none."""
+def test_errors_along_and_across_the_way_go_with_the_vehicle():
+    """East at 90 degrees from north, to the right; nothing where a camera states none."""
     cameras = pd.DataFrame(
         {"x": 0.0, "y": 0.0, "z": 0.0, "heading_deg": [90.0, 180.0, 45.0]}, index=["a", "b", "c"]
-    ).assign(sigma_along_m=[0.5, 0.3, np.nan])
+    ).assign(sigma_along_m=[0.5, 0.3, np.nan], sigma_lateral_m=[0.1, 0.2, np.nan])
     frames = pd.DataFrame({"image": ["a", "b", "c"], "route": "r", "sequence": [1, 2, 3]})
     empty = dict.fromkeys(measure_poles._COLUMNS, 0.0)
-    for name in ("x", "y", "z", "route", "sequence", "drift_east_m", "drift_north_m"):
+    ways = ["drift_east_m", "drift_north_m", "aside_east_m", "aside_north_m"]
+    for name in ("x", "y", "z", "route", "sequence", *ways):
         del empty[name]
     sightings = pd.DataFrame([empty | {"image": name} for name in "abc"])
     found = measure_poles._finished(sightings, frames, cameras, Frame((0.0, 0.0, 0.0)), False)
-    drift = found[["drift_east_m", "drift_north_m"]].to_numpy()
-    assert drift == pytest.approx(np.array([[0.5, 0.0], [0.0, -0.3], [0.0, 0.0]]), abs=1e-12)
+    expected = np.array([[0.5, 0.0, 0.0, -0.1], [0.0, -0.3, -0.2, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    assert found[ways].to_numpy() == pytest.approx(expected, abs=1e-12)

@@ -221,14 +221,30 @@ def moved_by_centre(fit: Fit, task: Task, by_centre: Floats) -> Floats:
     return moved
 
 
+def moved_by_focal(fit: Fit) -> Floats:
+    """What goes with one standard deviation of the focal length (k,) in a solved image.
+
+    The focal length is its drive's: images hardly differ in it, so that all are moved alike.
+    """
+    by_focal = fit.covariance[FOCAL]
+    return np.asarray(by_focal / np.sqrt(by_focal[FOCAL]), np.float64)
+
+
+def heading_turns(task: Task) -> Floats:
+    """Degrees of heading for one of each unknown (k,), with what the road turns along it."""
+    turns = np.zeros(len(task.prior_mean))
+    turns[[YAW, ALONG]] = 1.0, np.degrees(task.start.bend)
+    return turns
+
+
 def sigmas(fit: Fit, task: Task) -> tuple[float, float, float, float]:
     """One standard deviation of heading and pitch (degrees), across and along the road (m).
 
     Heading and pitch include what the road turns over the uncertain place along it.
     """
     turn = np.zeros((4, len(fit.unknowns)))
-    turn[[0, 1, 2, 3], [YAW, PITCH, LATERAL, ALONG]] = 1.0
-    turn[0, ALONG] = np.degrees(task.start.bend)
+    turn[0] = heading_turns(task)
+    turn[[1, 2, 3], [PITCH, LATERAL, ALONG]] = 1.0
     turn[1, ALONG] = np.degrees(task.start.hump)
     variance = np.diag(turn @ fit.covariance @ turn.T)
     a, b, c, d = (float(v) for v in np.sqrt(variance))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,10 @@ from roadsight.poles.sightings.lidar_poles import PoleColumns
 
 _STEP_DEG = 0.01
 """Step of the numeric derivative by pitch."""
+_STEP_RATIO = 1e-4
+"""Step of the numeric derivative by focal length."""
+TURNED_COLUMNS = ("bearing_by_cx_deg", "bearing_by_focal_deg", "bearing_by_heading_deg")
+"""Columns of sightings that hold what `turned_by_camera` gives."""
 SNAP_SIGMAS = 2.0
 """Standard deviations by which a bearing and a column may differ: with a wider gate more sightings
 meet two columns and snap to none."""
@@ -51,7 +55,8 @@ class ViewCamera:
     of the front camera. yaw_deg : of this view from it. sigma_heading_deg, sigma_pitch_deg,
     sigma_lateral_m, sigma_along_m : 1 sigma; across and along the front camera's heading.
     sigma_cx_px : 1 sigma of the principal point. heading_by_cx_deg : the part of the heading's
-    sigma that goes with it: another point turns the camera.
+    sigma that goes with it: another point turns the camera. sigma_focal_ratio, heading_by_focal_deg
+    : the same of the focal length, as a share of it.
     """
 
     intrinsics: Intrinsics
@@ -66,6 +71,14 @@ class ViewCamera:
     sigma_along_m: float = 0.0
     sigma_cx_px: float = 0.0
     heading_by_cx_deg: float = 0.0
+    sigma_focal_ratio: float = 0.0
+    heading_by_focal_deg: float = 0.0
+
+    @property
+    def own_heading_deg(self) -> float:
+        """What is left of the heading's sigma without the lens' part."""
+        by_lens2 = self.heading_by_cx_deg**2 + self.heading_by_focal_deg**2
+        return float(np.sqrt(max(self.sigma_heading_deg**2 - by_lens2, 0.0)))
 
     def rotation(self, pitch_more_deg: float = 0.0) -> Floats:
         """cam_from_world (3, 3), pitched up by some more."""
@@ -97,25 +110,45 @@ def image_bearings(
 ) -> tuple[Floats, Floats]:
     """Grid bearings of pixels (n, 2) and their sigma (n,), degrees.
 
-    Sigma has the pixel's own error, the heading's, the principal point's, which the heading mostly
-    undoes, and what an error of pitch turns the ray by; the
-    camera's place is not in it, because that needs the distance (`with_place`).
+    Sigma has the pixel's own error, the lens' and the heading's (`turned_by_camera`) and what an
+    error of pitch turns the ray by; the camera's place is not in it, because that needs the
+    distance (`with_place`).
     """
     uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
     bearing = ray_bearing_deg(camera.rays(uv))
-    per_px = wrap_deg(ray_bearing_deg(camera.rays(np.add(uv, (0.5, 0.0)))) - bearing) * 2.0
     tilted = ray_bearing_deg(camera.rays(uv, pitch_more_deg=_STEP_DEG))
     per_pitch = wrap_deg(tilted - bearing) / _STEP_DEG
-    own2 = camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2
     parts = np.array(
         [
-            np.asarray(sigma_u_px, np.float64) * per_px,
-            np.full(len(uv), np.sqrt(max(own2, 0.0))),
-            camera.heading_by_cx_deg - camera.sigma_cx_px * per_px,
+            np.asarray(sigma_u_px, np.float64) * _per_px(camera, uv, bearing),
+            *turned_by_camera(camera, uv).T,
             per_pitch * camera.sigma_pitch_deg,
         ]
     )
     return bearing, np.sqrt((parts**2).sum(axis=0))
+
+
+def turned_by_camera(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
+    """Degrees by which bearings of pixels are off (n, 3), signed, if the camera is by 1 sigma.
+
+    By the principal point, which the heading mostly undoes, and by the focal length, which turns
+    what lies left of the middle one way and what lies right of it the other: all images of a drive
+    share these. By what is left of the heading, which near images share.
+    """
+    uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
+    bearing = ray_bearing_deg(camera.rays(uv))
+    longer = camera.intrinsics.focal_px * (1.0 + _STEP_RATIO)
+    other = replace(camera, intrinsics=replace(camera.intrinsics, focal_px=longer))
+    per_ratio = wrap_deg(ray_bearing_deg(other.rays(uv)) - bearing) / _STEP_RATIO
+    by_cx = camera.heading_by_cx_deg - camera.sigma_cx_px * _per_px(camera, uv, bearing)
+    by_focal = camera.heading_by_focal_deg + camera.sigma_focal_ratio * per_ratio
+    return np.column_stack([by_cx, by_focal, np.full(len(uv), camera.own_heading_deg)])
+
+
+def _per_px(camera: ViewCamera, uv: Floats, bearing_deg: Floats) -> Floats:
+    """Degrees of bearing (n,) for a pixel to the right."""
+    beside = ray_bearing_deg(camera.rays(np.add(uv, (0.5, 0.0))))
+    return wrap_deg(beside - bearing_deg) * 2.0
 
 
 def with_place(

@@ -19,10 +19,12 @@ from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
     SNAP_DEPTHS,
+    TURNED_COLUMNS,
     ViewCamera,
     image_bearings,
     matching_columns,
     nearest_projected,
+    turned_by_camera,
     with_place,
 )
 from roadsight.poles.sightings.sighting_depth import (
@@ -135,6 +137,7 @@ def measure_view(
         camera, (bearing, sigma), match, evidence, (feet, boxes), settings, 30.0 * scale
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
+    table[list(TURNED_COLUMNS)] = turned_by_camera(camera, feet)
     table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
     middle = 0.5 * (table["u_min"] + table["u_max"])

@@ -62,6 +62,10 @@ class Rays:
         a cloud: errors of the camera's place, heading and depth scale do not add to its sigmas.
     drift_m : 1 sigma of the camera's place that near images share, as a vector along its way, shape
         (n, 2), beside what the settings say; alignment knows a place along the road least.
+    aside_m : the same across its way.
+    turned_deg : by what a bearing is off, signed, shape (n, 3), if the principal point or the focal
+        length of its drive is by 1 sigma, or what near images share of their heading: parts of the
+        bearing's sigma, as what ``drift_m`` and ``aside_m`` turn it by is.
     """
 
     camera_m: Floats
@@ -75,6 +79,8 @@ class Rays:
     row: Ints
     anchored: Bools
     drift_m: Floats
+    aside_m: Floats
+    turned_deg: Floats
 
     def __len__(self) -> int:
         return len(self.row)
@@ -106,6 +112,8 @@ def make_rays(
     sequence: NDArray | None = None,
     anchored: NDArray | None = None,
     drift_m: NDArray | None = None,
+    aside_m: NDArray | None = None,
+    turned_deg: NDArray | None = None,
 ) -> Rays:
     """Rays in an order that does not depend on the order of the rows, without exact repeats.
 
@@ -114,7 +122,8 @@ def make_rays(
 
     Parameters
     ----------
-    camera_m, drift_m : shape (n, 2). Others: shape (n,); image may be of any kind that sorts.
+    camera_m, drift_m, aside_m : shape (n, 2). turned_deg : shape (n, 3). Others: shape (n,); image
+        may be of any kind that sorts.
     """
     camera = np.asarray(camera_m, np.float64).reshape(-1, 2)
     n = len(camera)
@@ -139,6 +148,8 @@ def make_rays(
         np.arange(n),
         np.zeros(n, bool) if anchored is None else np.asarray(anchored, bool),
         np.zeros((n, 2)) if drift_m is None else np.asarray(drift_m, np.float64),
+        np.zeros((n, 2)) if aside_m is None else np.asarray(aside_m, np.float64),
+        np.zeros((n, 3)) if turned_deg is None else np.asarray(turned_deg, np.float64),
     )
     keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.sightings.sighting_bearing import TURNED_COLUMNS
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups, places_of
@@ -28,8 +29,12 @@ SIGHTING_COLUMNS = (
     "sigma_depth_m",
     "kept",
 )
-DRIFT_COLUMNS = ("drift_east_m", "drift_north_m")
-"""Error of the camera's place along its way, one sigma, as a vector, see `Rays.drift_m`."""
+SHARED_COLUMNS = {
+    "drift_m": ("drift_east_m", "drift_north_m"),
+    "aside_m": ("aside_east_m", "aside_north_m"),
+    "turned_deg": TURNED_COLUMNS,
+}
+"""Columns of what near images err in alike, one sigma, by their name in `Rays`."""
 POLE_COLUMNS = (
     "id",
     "kind",
@@ -75,7 +80,7 @@ def site_poles(
     ----------
     sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
         ``anchored``: whether a sighting ends at something of the cloud (kinds of which few do take
-        far sightings too, `far_reaching`); `DRIFT_COLUMNS`.
+        far sightings too, `far_reaching`); `SHARED_COLUMNS`.
 
     Returns
     -------
@@ -142,8 +147,9 @@ def _rays(sightings: pd.DataFrame) -> Rays:
     places = sightings[["x", "y"]].to_numpy(np.float64)
     if "anchored" in sightings:
         columns["anchored"] = sightings["anchored"].to_numpy(bool)
-    if set(DRIFT_COLUMNS) <= set(sightings):
-        columns["drift_m"] = sightings[list(DRIFT_COLUMNS)].to_numpy(np.float64)
+    for name, parts in SHARED_COLUMNS.items():
+        if set(parts) <= set(sightings):
+            columns[name] = sightings[list(parts)].to_numpy(np.float64)
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
 
 

@@ -30,7 +30,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import ALONG, CX, YAW, pose_of
+from roadsight.poles.alignment.pose import CX, FOCAL, pose_of
 from roadsight.poles.alignment.published import PUBLISHED_BOUNDS, nelder_mead
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
@@ -39,8 +39,10 @@ from roadsight.poles.alignment.verdict import (
     agreeing_landmarks,
     condition,
     edge_doubt,
+    heading_turns,
     is_one_sided,
     moved_by_centre,
+    moved_by_focal,
     pose_doubt,
     reached,
     residual_px,
@@ -90,6 +92,8 @@ CAMERA_COLUMNS = (
     "sigma_along_m",
     "sigma_cx_px",
     "heading_by_cx_deg",
+    "sigma_focal_ratio",
+    "heading_by_focal_deg",
     "pitch_by_cy_deg",
     "condition",
     "residual_px",
@@ -309,6 +313,7 @@ def _row(
     place = with_shared_edges(fit, task)
     along = sigmas(replace(place, covariance=place.covariance + np.outer(moved, moved)), task)[3]
     pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
+    by_focal, turns = moved_by_focal(fit), heading_turns(task)
     known = reached(task, fit)
     return {
         "x": pose.x_m,
@@ -327,7 +332,9 @@ def _row(
         "sigma_lateral_m": lateral,
         "sigma_along_m": along,
         "sigma_cx_px": float(moved[CX]),
-        "heading_by_cx_deg": float(moved[YAW] + np.degrees(start.bend) * moved[ALONG]),
+        "heading_by_cx_deg": float(turns @ moved),
+        "sigma_focal_ratio": float(by_focal[FOCAL]),
+        "heading_by_focal_deg": float(turns @ by_focal),
         "pitch_by_cy_deg": pitch_by_cy,
         "condition": condition(fit, task),
         "residual_px": residual_px(fit, known=known),

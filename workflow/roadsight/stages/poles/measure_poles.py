@@ -29,7 +29,7 @@ from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intr
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
 from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.sightings.markings import markings_on_ground
-from roadsight.poles.sightings.sighting_bearing import ViewCamera
+from roadsight.poles.sightings.sighting_bearing import TURNED_COLUMNS, ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
 from roadsight.stages.command import Command
@@ -55,12 +55,15 @@ _COLUMNS = (
     "z",
     "drift_east_m",
     "drift_north_m",
+    "aside_east_m",
+    "aside_north_m",
     "latitude",
     "longitude",
     "bearing_grid_deg",
     "bearing_deg",
     "depth_m",
     "sigma_bearing_deg",
+    *TURNED_COLUMNS,
     "sigma_depth_m",
     "kept",
     "reason",
@@ -82,7 +85,8 @@ _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
 _SIGMAS = (
     *("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"),
-    *("sigma_cx_px", "heading_by_cx_deg", "pitch_by_cy_deg"),
+    *("sigma_cx_px", "heading_by_cx_deg", "sigma_focal_ratio", "heading_by_focal_deg"),
+    "pitch_by_cy_deg",
 )
 """Columns of the cameras that hold uncertainties, all but the last in the order of `ViewCamera`."""
 _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
@@ -278,10 +282,14 @@ def _camera(
         camera = replace(camera, sigma_pitch_deg=float(own_deg))
     if view.view == "front":
         return camera
-    # A side view looks past a fixed thing of the front view: its yaw takes up the point's error.
-    apart_deg = np.sqrt(max(camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2, 0.0))
+    # A side view looks past a fixed thing of the front view: its yaw takes up what the lens turns
+    # the front view by.
     return replace(
-        camera, sigma_heading_deg=float(apart_deg), sigma_cx_px=0.0, heading_by_cx_deg=0.0
+        camera,
+        sigma_heading_deg=camera.own_heading_deg,
+        sigma_cx_px=0.0,
+        heading_by_cx_deg=0.0,
+        heading_by_focal_deg=0.0,
     )
 
 
@@ -305,9 +313,10 @@ def _finished(
         )
     table = sightings.join(frames.set_index("image")[["route", "sequence"]], on="image")
     way = np.radians(cameras["heading_deg"])
-    sigma_m = cameras["sigma_along_m"].fillna(0.0)
-    drift = {"drift_east_m": sigma_m * np.sin(way), "drift_north_m": sigma_m * np.cos(way)}
-    table = table.join(cameras[["x", "y", "z"]].assign(**drift), on="image")
+    along_m, across_m = (cameras[f"sigma_{name}_m"].fillna(0.0) for name in ("along", "lateral"))
+    shared = {"drift_east_m": along_m * np.sin(way), "drift_north_m": along_m * np.cos(way)}
+    shared |= {"aside_east_m": across_m * np.cos(way), "aside_north_m": -across_m * np.sin(way)}
+    table = table.join(cameras[["x", "y", "z"]].assign(**shared), on="image")
     xy = table[["x", "y"]].to_numpy(np.float64)
     nothing = np.full(len(table), np.nan)
     latitude, longitude, turn = nothing, nothing, nothing

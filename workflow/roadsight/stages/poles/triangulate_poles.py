@@ -54,8 +54,8 @@ from roadsight.poles.triangulate.pole_doubts import (
 from roadsight.poles.triangulate.probability import UNKNOWN, probability_source, real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
-    DRIFT_COLUMNS,
     POLE_COLUMNS,
+    SHARED_COLUMNS,
     SIGHTING_COLUMNS,
     site_poles,
 )
@@ -105,7 +105,8 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", *_EDGE_COLUMNS]
+    shared = [name for parts in SHARED_COLUMNS.values() for name in parts]
+    names = [*SIGHTING_COLUMNS, *shared, "view", "reason", "depth_from", *_EDGE_COLUMNS]
     parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
