@@ -14,7 +14,7 @@ from roadsight.poles.alignment.landmarks import MatchedLandmarks, landmark_misfi
 from roadsight.poles.alignment.pose import CX, FOCAL, PITCH, SIZE, YAW, Start
 from roadsight.poles.alignment.solve import FINEST, Fit
 from roadsight.poles.alignment.ties import Member
-from roadsight.poles.alignment.verdict import moved_by_centre
+from roadsight.poles.alignment.verdict import moved_by_centre, moved_by_focal
 from roadsight.poles.calibration.calibration import (
     Mount,
     apart_from_centre,
@@ -131,6 +131,17 @@ def test_what_the_point_moves_in_an_image_is_the_move_of_its_minimum():
     moved = moved_by_centre(fit, task, by_centre)
     np.testing.assert_allclose(moved[rest], least(by_centre[CX]) - least(0.0), atol=1e-9)
     assert moved[CX] == by_centre[CX]
+
+
+def test_another_focal_length_moves_an_image_as_if_it_were_solved_for_it():
+    """By the conditional minimum of the quadratic misfit whose inverse the covariance is."""
+    covariance = random_covariance(3)
+    fit = Fit(np.zeros(SIZE), covariance, 0.0, np.empty((0, 2)), np.eye(SIZE), np.zeros(SIZE))
+    moved, rest = moved_by_focal(fit), np.arange(SIZE) != FOCAL
+    assert moved[FOCAL] == pytest.approx(np.sqrt(covariance[FOCAL, FOCAL]))
+    normal = np.linalg.inv(covariance)
+    held = np.linalg.solve(normal[np.ix_(rest, rest)], -normal[rest, FOCAL] * moved[FOCAL])
+    np.testing.assert_allclose(moved[rest], held)
 
 
 def test_bearings_carry_the_point_only_as_far_as_the_heading_does_not_undo_it():

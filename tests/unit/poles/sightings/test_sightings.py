@@ -10,6 +10,8 @@ from roadsight.geometry.cameras import Intrinsics, project, wrap_deg
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.sighting_bearing import (
+    OWN_COLUMN,
+    TURNED_COLUMNS,
     ViewCamera,
     image_bearings,
     matching_columns,
@@ -90,6 +92,19 @@ def test_bearing_and_distances_of_upright_poles_are_right():
     assert (apart < 3 * table["sigma_depth_m"]).all()
     assert np.allclose(table["height_m"][[0, 2]], 9.0, rtol=0.12)
     assert set(table["depth_from"]) == {"network+ground"}
+
+
+def test_the_parts_of_a_bearings_sigma_are_all_of_it():
+    camera = replace(CAMERA, sigma_cx_px=3.0, heading_by_cx_deg=0.08, sigma_focal_ratio=0.01)
+    mask, depth = rendered([place(*one) for one in ((335.0, 30.0), (350.0, 12.0), (15.0, 20.0))])
+    table = measure_view(camera, mask, depth, Evidence(level, NONE, np.empty((0, 3))))
+    turned = table[[*TURNED_COLUMNS]].to_numpy()
+    bearing = table["bearing_grid_deg"].to_numpy()
+    across = np.degrees(np.arctan(camera.sigma_across_m(bearing) / table["depth_m"]))
+    whole = np.sqrt(table[OWN_COLUMN] ** 2 + (turned**2).sum(axis=1) + across**2)
+    np.testing.assert_allclose(whole, table["sigma_bearing_deg"])
+    # A longer lens sees things nearer to its axis, on either side of it.
+    assert turned[0, 1] > 0.1 > -0.1 > turned[2, 1]
 
 
 def test_a_single_lidar_column_sharpens_bearing_and_distance():

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
 from roadsight.poles.triangulate.locate import (
     calibrate_depths,
@@ -38,7 +39,7 @@ from roadsight.poles.triangulate.rays import (
     make_rays,
     pair_rays,
 )
-from roadsight.poles.triangulate.site import POLE_COLUMNS, site_poles
+from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
 from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
 
 
@@ -510,7 +511,7 @@ def _mahalanobis2(seed: int, shared: bool) -> float:
     away = np.hypot(*gap.T)
     known = {"sigma_bearing_deg": sigma, "sigma_depth_m": np.full(5, 2.0)}
     if shared:
-        known |= {"turned_deg": turned, "aside_m": aside}
+        known |= {"turned_deg": turned, "aside_m": aside, "own_deg": np.full(5, own_deg)}
     rays = make_rays(
         camera,
         bearing,
@@ -534,6 +535,97 @@ def test_ellipses_hold_poles_whose_cameras_look_and_stand_amiss_together():
     }
     assert 0.935 < inside[True] < 0.965
     assert inside[False] < 0.8
+
+
+def _covariance(camera, pole, known, route=None, depth_ratio=1.0):
+    """Covariance (2, 2) of a pole whose rays all have an error of 0.05 degrees of their own."""
+    gap, n = pole - camera, len(camera)
+    bearing = np.degrees(np.arctan2(gap[:, 0], gap[:, 1]))
+    known = {"own_deg": np.full(n, 0.05)} | known
+    rays = make_rays(
+        camera,
+        bearing,
+        depth_ratio * np.hypot(*gap.T),
+        np.full(n, 0.5),
+        np.full(n, 20.0),
+        image=np.arange(n),
+        route=np.zeros(n) if route is None else route,
+        **known,
+    )
+    settings = TriangulationSettings(calibrate_depth=False, sigma_position_m=0.01)
+    return place_groups(rays, [np.arange(n)], pole[None], stated_noise(settings), settings)[1][0]
+
+
+def test_a_lens_turns_what_lies_left_and_right_of_its_axis_apart():
+    """Two cameras at one place that see a pole on either side of their axes undo each other."""
+    camera, pole = np.array([[0.0, 0.0], [0.1, 0.0]]), np.array([0.0, 30.0])
+    turned = np.zeros((2, 3))
+    turned[:, 1] = 0.3, 0.3
+    alike = _covariance(camera, pole, {"turned_deg": turned})[0, 0]
+    turned[1, 1] = -0.3
+    apart = _covariance(camera, pole, {"turned_deg": turned})[0, 0]
+    assert alike > 5.0 * apart
+
+
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_what_turns_one_drive_does_not_turn_another(part):
+    camera, pole = np.array([[0.0, 0.0], [0.1, 0.0]]), np.array([0.0, 30.0])
+    turned = np.zeros((2, 3))
+    turned[:, part] = 0.3
+    one = _covariance(camera, pole, {"turned_deg": turned})[0, 0]
+    two = _covariance(camera, pole, {"turned_deg": turned}, np.arange(2))[0, 0]
+    assert one == pytest.approx(2.0 * two, rel=0.1)
+
+
+def test_a_lens_is_a_drives_however_long_it_is_and_a_heading_is_not():
+    """Two cameras 200 m apart, between which a pole stands."""
+    camera, pole = np.array([[-100.0, 0.0], [100.0, 0.0]]), np.array([0.0, 0.0])
+
+    def across(part):
+        turned = np.zeros((2, 3))
+        # The ways are opposite: what turns both alike moves their points apart.
+        turned[:, part] = 0.3, -0.3
+        return _covariance(camera, pole, {"turned_deg": turned})[1, 1]
+
+    assert across(1) > 1.5 * across(2)
+
+
+def test_depths_that_are_too_long_take_nothing_from_a_rays_own_error():
+    camera, pole = np.array([[0.0, 0.0], [0.1, 0.0]]), np.array([0.0, 30.0])
+    aside = {"aside_m": np.tile([0.1, 0.0], (2, 1)), "own_deg": np.full(2, 0.5)}
+    right, long = (_covariance(camera, pole, aside, depth_ratio=k)[0, 0] for k in (1.0, 1.5))
+    assert long > right > (30.0 * np.radians(0.5)) ** 2 / 2
+
+
+def test_shared_errors_of_a_table_reach_its_poles():
+    camera = np.column_stack([np.linspace(0.0, 20.0, 6), np.zeros(6)])
+    gap = np.array([25.0, 6.0]) - camera
+    table = pd.DataFrame(
+        {
+            "image": [f"{i}.jpg" for i in range(6)],
+            "route": "r",
+            "sequence": np.arange(6),
+            "kind": "pole",
+            "x": camera[:, 0],
+            "y": camera[:, 1],
+            "bearing_grid_deg": np.degrees(np.arctan2(*gap.T)) % 360,
+            "depth_m": np.hypot(*gap.T),
+            "sigma_bearing_deg": 0.5,
+            "sigma_depth_m": 2.0,
+            "kept": True,
+        }
+    )
+    nothing = {name: 0.0 for parts in SHARED_COLUMNS.values() for name in parts}
+    nothing[OWN_COLUMN] = 0.1
+
+    def major_m(**shared):
+        poles, *_ = site_poles(
+            table.assign(**nothing | shared), TriangulationSettings(calibrate_depth=False)
+        )
+        return poles["sigma_major_m"].iloc[0]
+
+    for name in set(nothing) - {"drift_north_m", "aside_east_m"}:
+        assert major_m(**{name: 0.6}) > 1.02 * major_m(), name
 
 
 def test_ways_out_and_back_do_not_cancel():

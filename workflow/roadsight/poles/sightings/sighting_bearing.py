@@ -26,6 +26,8 @@ _STEP_RATIO = 1e-4
 """Step of the numeric derivative by focal length."""
 TURNED_COLUMNS = ("bearing_by_cx_deg", "bearing_by_focal_deg", "bearing_by_heading_deg")
 """Columns of sightings that hold what `turned_by_camera` gives."""
+OWN_COLUMN = "sigma_own_bearing_deg"
+"""Column of the part of a bearing's sigma that neither these nor the camera's place make up."""
 SNAP_SIGMAS = 2.0
 """Standard deviations by which a bearing and a column may differ: with a wider gate more sightings
 meet two columns and snap to none."""
@@ -55,8 +57,9 @@ class ViewCamera:
     of the front camera. yaw_deg : of this view from it. sigma_heading_deg, sigma_pitch_deg,
     sigma_lateral_m, sigma_along_m : 1 sigma; across and along the front camera's heading.
     sigma_cx_px : 1 sigma of the principal point. heading_by_cx_deg : the part of the heading's
-    sigma that goes with it: another point turns the camera. sigma_focal_ratio, heading_by_focal_deg
-    : the same of the focal length, as a share of it.
+    sigma that goes with it: another point turns the camera. sigma_focal_ratio : 1 sigma of the
+    focal length as a share of it. heading_by_focal_deg : the part of the heading's that goes with
+    it.
     """
 
     intrinsics: Intrinsics
@@ -129,7 +132,7 @@ def image_bearings(
 
 
 def turned_by_camera(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
-    """Degrees by which bearings of pixels are off (n, 3), signed, if the camera is by 1 sigma.
+    """Degrees by which bearings of pixels are off (n, 3), signed, if the camera is off by 1 sigma.
 
     By the principal point, which the heading mostly undoes, and by the focal length, which turns
     what lies left of the middle one way and what lies right of it the other: all images of a drive

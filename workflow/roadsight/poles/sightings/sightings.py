@@ -18,6 +18,7 @@ from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, fin
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
+    OWN_COLUMN,
     SNAP_DEPTHS,
     TURNED_COLUMNS,
     ViewCamera,
@@ -106,6 +107,9 @@ def measure_view(
     width = table["width_px"].to_numpy()
     sigma_u = np.hypot(np.maximum(_SIGMA_AXIS_PX * scale, 0.5), 0.1 * width)
     bearing, sigma = image_bearings(camera, feet, sigma_u)
+    turned = turned_by_camera(camera, feet)
+    table[list(TURNED_COLUMNS)] = turned
+    table[OWN_COLUMN] = np.sqrt(np.maximum(sigma**2 - (turned**2).sum(axis=1), 0.0))
     rises = np.column_stack([_rise(camera, feet), _rise(camera, table[["u_foot", "v_min"]])])
     told = np.array([one.foot == "visible" for one in found]) | np.isnan(ground[0])
     panel = np.array([KINDS[one.kind].shape == "panel" for one in found])
@@ -137,7 +141,6 @@ def measure_view(
         camera, (bearing, sigma), match, evidence, (feet, boxes), settings, 30.0 * scale
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
-    table[list(TURNED_COLUMNS)] = turned_by_camera(camera, feet)
     table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
     middle = 0.5 * (table["u_min"] + table["u_max"])

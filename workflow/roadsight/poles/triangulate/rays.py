@@ -63,9 +63,9 @@ class Rays:
     drift_m : 1 sigma of the camera's place that near images share, as a vector along its way, shape
         (n, 2), beside what the settings say; alignment knows a place along the road least.
     aside_m : the same across its way.
-    turned_deg : by what a bearing is off, signed, shape (n, 3), if the principal point or the focal
-        length of its drive is by 1 sigma, or what near images share of their heading: parts of the
-        bearing's sigma, as what ``drift_m`` and ``aside_m`` turn it by is.
+    turned_deg : signed error of the bearing for 1 sigma of its drive's principal point, of its
+        drive's focal length, and of the heading that near images share, shape (n, 3).
+    own_deg : what of ``sigma_bearing_deg`` neither these nor the place make up; NaN: all of it.
     """
 
     camera_m: Floats
@@ -81,6 +81,7 @@ class Rays:
     drift_m: Floats
     aside_m: Floats
     turned_deg: Floats
+    own_deg: Floats
 
     def __len__(self) -> int:
         return len(self.row)
@@ -114,6 +115,7 @@ def make_rays(
     drift_m: NDArray | None = None,
     aside_m: NDArray | None = None,
     turned_deg: NDArray | None = None,
+    own_deg: NDArray | None = None,
 ) -> Rays:
     """Rays in an order that does not depend on the order of the rows, without exact repeats.
 
@@ -147,11 +149,13 @@ def make_rays(
         sequences,
         np.arange(n),
         np.zeros(n, bool) if anchored is None else np.asarray(anchored, bool),
-        np.zeros((n, 2)) if drift_m is None else np.asarray(drift_m, np.float64),
-        np.zeros((n, 2)) if aside_m is None else np.asarray(aside_m, np.float64),
-        np.zeros((n, 3)) if turned_deg is None else np.asarray(turned_deg, np.float64),
+        _vectors(drift_m, n, 2),
+        _vectors(aside_m, n, 2),
+        _vectors(turned_deg, n, 3),
+        np.full(n, np.nan) if own_deg is None else np.asarray(own_deg, np.float64).reshape(n),
     )
-    keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
+    keys = [*rays.drift_m.T, *rays.aside_m.T, *rays.turned_deg.T, rays.own_deg]
+    keys += [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])
     usable = np.isfinite(camera).all(axis=1) & np.isfinite(bearing)
     order = order[usable[order]]
@@ -197,6 +201,13 @@ def _positive(values: NDArray | None, n: int) -> Floats:
         return np.full(n, np.nan)
     numbers = np.asarray(values, np.float64)
     return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.nan)
+
+
+def _vectors(values: NDArray | None, n: int, size: int) -> Floats:
+    """Vectors (n, size), zero where unknown."""
+    if values is None:
+        return np.zeros((n, size))
+    return np.nan_to_num(np.asarray(values, np.float64))
 
 
 def _whole(values: NDArray | None, n: int) -> Ints:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.sightings.sighting_bearing import TURNED_COLUMNS
+from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups, places_of
@@ -33,8 +33,9 @@ SHARED_COLUMNS = {
     "drift_m": ("drift_east_m", "drift_north_m"),
     "aside_m": ("aside_east_m", "aside_north_m"),
     "turned_deg": TURNED_COLUMNS,
+    "own_deg": (OWN_COLUMN,),
 }
-"""Columns of what near images err in alike, one sigma, by their name in `Rays`."""
+"""Columns of what near images err in alike and of what they do not, by their name in `Rays`."""
 POLE_COLUMNS = (
     "id",
     "kind",

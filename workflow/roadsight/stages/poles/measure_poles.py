@@ -29,7 +29,7 @@ from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intr
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
 from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.sightings.markings import markings_on_ground
-from roadsight.poles.sightings.sighting_bearing import TURNED_COLUMNS, ViewCamera
+from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS, ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
 from roadsight.stages.command import Command
@@ -63,6 +63,7 @@ _COLUMNS = (
     "bearing_deg",
     "depth_m",
     "sigma_bearing_deg",
+    OWN_COLUMN,
     *TURNED_COLUMNS,
     "sigma_depth_m",
     "kept",
@@ -282,14 +283,15 @@ def _camera(
         camera = replace(camera, sigma_pitch_deg=float(own_deg))
     if view.view == "front":
         return camera
-    # A side view looks past a fixed thing of the front view: its yaw takes up what the lens turns
-    # the front view by.
+    # A side view looks past a fixed thing of the front view: its yaw takes up the point's error,
+    # and its sigma has what another focal length does.
+    apart_deg = np.sqrt(max(camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2, 0.0))
     return replace(
         camera,
-        sigma_heading_deg=camera.own_heading_deg,
+        sigma_heading_deg=float(apart_deg),
         sigma_cx_px=0.0,
         heading_by_cx_deg=0.0,
-        heading_by_focal_deg=0.0,
+        sigma_focal_ratio=0.0,
     )
 
 
