@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import ALONG, FOCAL, SIZE, YAW
+from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, YAW
 from roadsight.poles.alignment.solve import ImageEdges, Noise
 from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt
 from roadsight.stages.poles.align_cameras import aligned, judged
@@ -98,7 +98,7 @@ def test_sparse_edges_that_neighbours_see_too_hardly_tell_the_place_along_the_ro
         assert least <= counted <= most
 
 
-def test_landmarks_tell_the_place_along_the_road_in_full_over_sparse_edges(told):
+def test_landmarks_tell_the_place_in_full_over_sparse_edges(told):
     noise = Noise.of_spacing(0.7)
     for task in told:
         loose = replace(task, prior_information=task.prior_information * SURE**2, noise=noise)
@@ -106,6 +106,7 @@ def test_landmarks_tell_the_place_along_the_road_in_full_over_sparse_edges(told)
         assert fit.matched_normal is not None
         edges = fit.normal - fit.matched_normal
         told_by = noise.own_share * edges + fit.matched_normal + loose.prior_information
-        expected_m = np.sqrt(np.linalg.inv(told_by)[ALONG, ALONG])
-        stated_m = aligned(loose, "road", LIMITS)["sigma_along_m"]
+        expected_m = np.sqrt(np.diag(np.linalg.inv(told_by))[[ALONG, LATERAL]])
+        row = aligned(loose, "road", LIMITS)
+        stated_m = [row["sigma_along_m"], row["sigma_lateral_m"]]
         assert stated_m == pytest.approx(expected_m, rel=0.02)

@@ -305,15 +305,14 @@ def _row(
     task: Task, fit: Fit, reason: str, by_centre: Floats, sigma_cy_px: float
 ) -> dict[str, Any]:
     start, pose = task.start, pose_of(task.start, fit.unknowns)
-    # All images of a drive have its principal point; what it may be off is in their sigmas, and
-    # does not speak against any of them.
+    # Neighbours share the errors of the edges, all images of a drive its principal point. What
+    # these may be off is in the sigmas, and does not speak against any image.
     moved = moved_by_centre(fit, task, by_centre)
-    whole = replace(fit, covariance=fit.covariance + np.outer(moved, moved))
-    heading, own_pitch, lateral, _ = sigmas(whole, task)
-    place = with_shared_edges(fit, task)
-    along = sigmas(replace(place, covariance=place.covariance + np.outer(moved, moved)), task)[3]
+    alone = with_shared_edges(fit, task)
+    whole = replace(alone, covariance=alone.covariance + np.outer(moved, moved))
+    heading, own_pitch, lateral, along = sigmas(whole, task)
     pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
-    by_focal, turns = moved_by_focal(fit), heading_turns(task)
+    by_focal, turns = moved_by_focal(alone), heading_turns(task)
     known = reached(task, fit)
     return {
         "x": pose.x_m,
