@@ -8,7 +8,12 @@ import pytest
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, YAW
 from roadsight.poles.alignment.solve import ImageEdges, Noise
-from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt
+from roadsight.poles.alignment.verdict import (
+    Limits,
+    agreeing_landmarks,
+    edge_doubt,
+    heading_turns,
+)
 from roadsight.stages.poles.align_cameras import aligned, judged
 from tests.unit.poles.alignment.test_landmarks import bed, columns, tasks
 
@@ -98,7 +103,7 @@ def test_sparse_edges_that_neighbours_see_too_hardly_tell_the_place_along_the_ro
         assert least <= counted <= most
 
 
-def test_landmarks_tell_the_place_in_full_over_sparse_edges(told):
+def test_landmarks_tell_a_pose_in_full_over_sparse_edges(told):
     noise = Noise.of_spacing(0.7)
     for task in told:
         loose = replace(task, prior_information=task.prior_information * SURE**2, noise=noise)
@@ -106,7 +111,16 @@ def test_landmarks_tell_the_place_in_full_over_sparse_edges(told):
         assert fit.matched_normal is not None
         edges = fit.normal - fit.matched_normal
         told_by = noise.own_share * edges + fit.matched_normal + loose.prior_information
-        expected_m = np.sqrt(np.diag(np.linalg.inv(told_by))[[ALONG, LATERAL]])
+        covariance = np.linalg.inv(told_by)
+        turns = heading_turns(loose)
         row = aligned(loose, "road", LIMITS)
-        stated_m = [row["sigma_along_m"], row["sigma_lateral_m"]]
-        assert stated_m == pytest.approx(expected_m, rel=0.02)
+        stated = {name: row[name] for name in row if name.startswith("sigma_")}
+        expected = {
+            "sigma_along_m": np.sqrt(covariance[ALONG, ALONG]),
+            "sigma_lateral_m": np.sqrt(covariance[LATERAL, LATERAL]),
+            "sigma_heading_deg": np.sqrt(turns @ covariance @ turns),
+            "sigma_focal_ratio": np.sqrt(covariance[FOCAL, FOCAL]),
+        }
+        assert {name: stated[name] for name in expected} == pytest.approx(expected, rel=0.02)
+        by_focal = turns @ covariance[FOCAL] / expected["sigma_focal_ratio"]
+        assert row["heading_by_focal_deg"] == pytest.approx(by_focal, rel=0.1, abs=1e-3)

@@ -59,7 +59,7 @@ class ViewCamera:
     sigma_cx_px : 1 sigma of the principal point. heading_by_cx_deg : the part of the heading's
     sigma that goes with it: another point turns the camera. sigma_focal_ratio : 1 sigma of the
     focal length as a share of it. heading_by_focal_deg : the part of the heading's that goes with
-    it.
+    it. sigma_yaw_deg : 1 sigma of this view's yaw.
     """
 
     intrinsics: Intrinsics
@@ -76,6 +76,7 @@ class ViewCamera:
     heading_by_cx_deg: float = 0.0
     sigma_focal_ratio: float = 0.0
     heading_by_focal_deg: float = 0.0
+    sigma_yaw_deg: float = 0.0
 
     @property
     def own_heading_deg(self) -> float:
@@ -113,9 +114,9 @@ def image_bearings(
 ) -> tuple[Floats, Floats]:
     """Grid bearings of pixels (n, 2) and their sigma (n,), degrees.
 
-    Sigma has the pixel's own error, the lens' and the heading's (`turned_by_camera`) and what an
-    error of pitch turns the ray by; the camera's place is not in it, because that needs the
-    distance (`with_place`).
+    Sigma has the pixel's own error, the lens' and the heading's (`turned_by_camera`), the view's
+    yaw and what an error of pitch turns the ray by; the camera's place is not in it, because that
+    needs the distance (`with_place`).
     """
     uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
     bearing = ray_bearing_deg(camera.rays(uv))
@@ -126,6 +127,7 @@ def image_bearings(
             np.asarray(sigma_u_px, np.float64) * _per_px(camera, uv, bearing),
             *turned_by_camera(camera, uv).T,
             per_pitch * camera.sigma_pitch_deg,
+            np.full(len(uv), camera.sigma_yaw_deg),
         ]
     )
     return bearing, np.sqrt((parts**2).sum(axis=0))

@@ -28,8 +28,8 @@ Those of aligned headings and places across do as well: 10, 50 and 100 m apart t
 0.89, 0.72, 0.60 and 0.79, 0.53, 0.32 on twelve generated roads with 2 pulses/m2, and 0.75, 0.46,
 0.21 and 0.54, 0.17, 0.21 on six with 8 and 24."""
 _HEADING_M = 30.0
-"""Length over which errors of a bearing stay alike of which nothing is known: an inertial heading
-wanders between turns."""
+"""Length over which errors of bearings stay alike that nothing else tells: of those without a
+sigma, and of the shared share of what is a ray's own. An inertial heading wanders between turns."""
 _LOOSE = (1.5, 1.5, 0.5)
 """Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
 where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that depths

@@ -65,7 +65,8 @@ class Rays:
     aside_m : the same across its way.
     turned_deg : signed error of the bearing for 1 sigma of its drive's principal point, of its
         drive's focal length, and of the heading that near images share, shape (n, 3).
-    own_deg : what of ``sigma_bearing_deg`` neither these nor the place make up; NaN: all of it.
+    own_deg : what of ``sigma_bearing_deg`` neither these nor the place make up; NaN: all of it, to
+        which they then add.
     """
 
     camera_m: Floats
@@ -207,7 +208,8 @@ def _vectors(values: NDArray | None, n: int, size: int) -> Floats:
     """Vectors (n, size), zero where unknown."""
     if values is None:
         return np.zeros((n, size))
-    return np.nan_to_num(np.asarray(values, np.float64))
+    vectors = np.asarray(values, np.float64)
+    return np.where(np.isfinite(vectors), vectors, 0.0)
 
 
 def _whole(values: NDArray | None, n: int) -> Ints:

@@ -35,7 +35,7 @@ SHARED_COLUMNS = {
     "turned_deg": TURNED_COLUMNS,
     "own_deg": (OWN_COLUMN,),
 }
-"""Columns of what near images err in alike and of what they do not, by their name in `Rays`."""
+"""Columns of the errors that near images share, and of a ray's own, by their name in `Rays`."""
 POLE_COLUMNS = (
     "id",
     "kind",

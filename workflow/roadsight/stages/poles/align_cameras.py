@@ -308,11 +308,11 @@ def _row(
     # Neighbours share the errors of the edges, all images of a drive its principal point. What
     # these may be off is in the sigmas, and does not speak against any image.
     moved = moved_by_centre(fit, task, by_centre)
-    alone = with_shared_edges(fit, task)
-    whole = replace(alone, covariance=alone.covariance + np.outer(moved, moved))
+    stated = with_shared_edges(fit, task)
+    whole = replace(stated, covariance=stated.covariance + np.outer(moved, moved))
     heading, own_pitch, lateral, along = sigmas(whole, task)
     pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
-    by_focal, turns = moved_by_focal(alone), heading_turns(task)
+    by_focal, turns = moved_by_focal(stated), heading_turns(task)
     known = reached(task, fit)
     return {
         "x": pose.x_m,

@@ -148,8 +148,7 @@ def measure_poles(
         turn_sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
         camera = _camera(view, pose, _offsets(turns, given), mask.shape)
         if np.isfinite(turn_sigma_deg):
-            wider_deg = float(np.hypot(camera.sigma_heading_deg, turn_sigma_deg))
-            camera = replace(camera, sigma_heading_deg=wider_deg)
+            camera = replace(camera, sigma_yaw_deg=float(turn_sigma_deg))
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
         unturned = key in found and not np.isfinite(turn_sigma_deg)
         if unturned and settings.side_views == "found":
@@ -284,7 +283,8 @@ def _camera(
     if view.view == "front":
         return camera
     # A side view looks past a fixed thing of the front view: its yaw takes up the point's error,
-    # and its sigma has what another focal length does.
+    # and its sigma has what another focal length turns the view's middle by. What that does beside
+    # the middle is left out: side views of three generated roads err by a third of what they state.
     apart_deg = np.sqrt(max(camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2, 0.0))
     return replace(
         camera,
