@@ -19,6 +19,9 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.stitching import ViewOffsets
+from roadsight.poles.images.views import View
+from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.stages.poles import measure_poles, trace_image_edges
 from tests.helpers.onnx_bytes import network, node, pointwise, tensor, value
 from tests.unit.poles.images.test_image_edges import straight_road
@@ -338,11 +341,35 @@ def test_bearings_in_a_side_view_carry_the_error_of_its_yaw(frames, monkeypatch)
             shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
     camera = read_table(frames / "cameras.parquet").iloc[0]
     key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
-    stated = []
+    stated, own, heading = [], [], []
     for sigma in (0.0, 0.5):
         turns = Turns((0.0, -20.0, 20.0), (0.0, np.inf, sigma))
         monkeypatch.setattr(measure_poles, "_side_views", lambda *_, found=turns: {key: found})
         assert measure(frames, "--bearing", "image") == 0
         seen = read_table(frames / "sightings.parquet").query("view == 'right' and kept")
         stated.append(seen["sigma_bearing_deg"].to_numpy())
+        own.append(seen[OWN_COLUMN].to_numpy())
+        heading.append(seen["bearing_by_heading_deg"].to_numpy())
     assert len(stated[0]) and stated[1] == pytest.approx(np.hypot(stated[0], 0.5), rel=0.02)
+    # The front view has no part of it.
+    assert own[1] == pytest.approx(np.hypot(own[0], 0.5)) and heading[1] == pytest.approx(
+        heading[0]
+    )
+
+
+def test_a_side_view_has_of_the_lens_the_heading_that_goes_with_the_focal_length():
+    angles = {"x": 0.0, "y": 0.0, "z": 2.0, "heading_deg": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0}
+    lens = {"focal_px": 800.0, "cx_px": 499.5, "cy_px": 299.5, "width_px": 1000, "height_px": 600}
+    sigmas = dict.fromkeys(measure_poles._SIGMAS, 0.0)
+    sigmas |= {"sigma_heading_deg": np.sqrt(0.3**2 + 0.1**2 + 0.2**2), "sigma_cx_px": 4.0}
+    sigmas |= {"heading_by_cx_deg": 0.3, "sigma_focal_ratio": 0.01, "heading_by_focal_deg": 0.1}
+    pose = pd.Series(angles | lens | sigmas)
+    seen = [
+        measure_poles._camera(View("a.jpg", view, "", ""), pose, ViewOffsets(), (600, 1000))
+        for view in ("front", "right")
+    ]
+    assert [one.own_heading_deg for one in seen] == pytest.approx([0.2, 0.2])
+    assert [one.heading_by_focal_deg for one in seen] == [0.1, 0.1]
+    assert [one.heading_by_cx_deg for one in seen] == [0.3, 0.0]
+    assert [one.sigma_cx_px for one in seen] == [4.0, 0.0]
+    assert [one.sigma_focal_ratio for one in seen] == [0.01, 0.0]

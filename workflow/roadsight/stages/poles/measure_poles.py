@@ -284,7 +284,8 @@ def _camera(
         return camera
     # A side view looks past a fixed thing of the front view: its yaw takes up the point's error,
     # and its sigma has what another focal length turns the view's middle by. What that does beside
-    # the middle is left out: side views of three generated roads err by a third of what they state.
+    # the middle is left out: of 491 bearings in side views over six generated clouds 82 and 97 %
+    # lie within one and two sigmas without it.
     apart_deg = np.sqrt(max(camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2, 0.0))
     return replace(
         camera,
