@@ -352,9 +352,8 @@ def test_bearings_in_a_side_view_carry_the_error_of_its_yaw(frames, monkeypatch)
         heading.append(seen["bearing_by_heading_deg"].to_numpy())
     assert len(stated[0]) and stated[1] == pytest.approx(np.hypot(stated[0], 0.5), rel=0.02)
     # The front view has no part of it.
-    assert own[1] == pytest.approx(np.hypot(own[0], 0.5)) and heading[1] == pytest.approx(
-        heading[0]
-    )
+    assert own[1] == pytest.approx(np.hypot(own[0], 0.5))
+    assert heading[1] == pytest.approx(heading[0])
 
 
 def test_a_side_view_has_of_the_lens_the_heading_that_goes_with_the_focal_length():
