@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real truth studio studio-vendor test test-full bench bench-full lint format config lock dag docs clean
+.PHONY: help run real truth paper paper-long studio studio-vendor test test-full bench bench-full lint format config lock dag docs clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -41,6 +41,12 @@ real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DA
 
 truth: .venv/.installed ## the product on the real data under ROADSIGHT_DATA, beside peers
 	$(BIN)/snakemake --cores $(CORES) truth
+
+paper: .venv/.installed ## tables and figures of both studies: published, ours as published, ours by default
+	$(BIN)/snakemake --cores $(CORES) paper
+
+paper-long: .venv/.installed ## the same on sites as large as the studies' (hours)
+	$(BIN)/snakemake --cores $(CORES) paper_long
 
 studio: .venv/.installed ## the local web application: see, draw, register, run
 	$(BIN)/roadsight studio

@@ -16,6 +16,7 @@ include: "workflow/rules/scene/effects_inputs.smk"
 include: "workflow/rules/scene/pavement_inputs.smk"
 include: "workflow/rules/evidence/audit_inputs.smk"
 include: "workflow/rules/truth/truth_inputs.smk"
+include: "workflow/rules/evidence/paper_inputs.smk"
 include: "workflow/rules/scene/effects.smk"
 include: "workflow/rules/scene/sample.smk"
 include: "workflow/rules/scene/scene.smk"
@@ -36,6 +37,7 @@ include: "workflow/rules/evidence/hardcases.smk"
 include: "workflow/rules/evidence/evidence.smk"
 include: "workflow/rules/evidence/audit.smk"
 include: "workflow/rules/truth/truth.smk"
+include: "workflow/rules/evidence/paper.smk"
 
 
 rule all:
@@ -81,6 +83,18 @@ rule audit:
 rule truth:
     input:
         rules.write_truth.output,
+    localrule: True
+
+
+rule paper:
+    input:
+        expand("results/paper/short.{kind}", kind=["csv", "html"]),
+    localrule: True
+
+
+rule paper_long:
+    input:
+        expand("results/paper/long.{kind}", kind=["csv", "html"]),
     localrule: True
 
 

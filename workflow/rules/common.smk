@@ -10,8 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import check_engines, load_config, load_site, load_sites
+from roadsight.config.load import check_engines, load_config, load_site, load_sites, merged
 from roadsight.config.named import NamedValue
+from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
@@ -57,13 +58,15 @@ BRINGS_OPEN3D = bool(workflow.deployment_settings.deployment_method)
 if not BRINGS_OPEN3D:
     clearly(check_engines, ASKED_SITES)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file, BRINGS_OPEN3D or None)
-# Sites of trade-offs and of audits have rules like any other, but only the targets `tradeoffs` and
-# `audit` ask for them. They solve their own plans, whatever plans a run asks for.
+# Sites of trade-offs, of audits and of the studies have rules like any other, but only the targets
+# `tradeoffs`, `audit` and `paper` ask for them. They solve their own plans, whatever plans a run asks for.
 OWN_PLANS = CONFIG.model_copy(update={"plans": []})
 AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
 SITES = (
     clearly(load_evidence_sites, CONFIG, TRADEOFFS)
-    | clearly(load_sites, OWN_PLANS.model_copy(update={"sites": AUDIT_SITES}))
+    | clearly(
+        load_sites, OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]})
+    )
     | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
@@ -291,6 +294,7 @@ EVIDENCE_PAGES = {
     "Real roads": "results/truth/index.html",
     "Hard cases": "results/hardcases/index.html",
     "Effects audited": "results/audit/index.html",
+    "Both studies": "results/paper/short.html",
     "Benchmarks": "results/bench/index.html",
 }
 

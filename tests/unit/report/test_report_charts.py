@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadsight.evidence import published
 from roadsight.report.charts import Chart, span_of, ticks
-from roadsight.report.poles import published
 
 numbers = st.floats(-1e6, 1e6)
 

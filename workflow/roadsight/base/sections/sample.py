@@ -41,6 +41,9 @@ class RuralScene(Section):
     flush_verges: bool = Field(
         default=False, description="rural: verges without ditches, level with the shoulders"
     )
+    car_parks: bool = Field(
+        default=False, description="rural: two car parks open onto the road, one on each side"
+    )
     side_views: bool = Field(default=True, description="rural: first drive has side images")
     hfov_deg: float = Field(
         default=0.0, ge=0, le=110, description="rural: first camera, degrees; 0: about 20"

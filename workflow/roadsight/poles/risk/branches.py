@@ -6,10 +6,12 @@ it and touches it branches off.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+import shapely
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -64,6 +66,13 @@ class Branches:
         if not len(own) or not len(places_m):
             return np.zeros(len(places_m), bool)
         return np.asarray(cKDTree(own).query(places_m)[0] <= within_m)
+
+    def with_outlines(self, outlines: Sequence[shapely.Geometry]) -> Branches:
+        """The same with known driveways and car parks: their outlines, a point each `CELL_M`."""
+        rings = [shapely.segmentize(one, CELL_M) for one in outlines]
+        known = shapely.get_coordinates(rings)[:, :2]
+        beside = np.zeros(len(known), bool)
+        return Branches(np.concatenate([self.xy_m, known]), np.concatenate([self.road, beside]))
 
 
 def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> Branches:

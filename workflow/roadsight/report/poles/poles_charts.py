@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.evidence import published
 from roadsight.report.charts import Chart, span_of
-from roadsight.report.poles import published
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
 from roadsight.report.wording import counted, number
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.evidence import published
 from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
 from roadsight.report import wording
-from roadsight.report.poles import published
 from roadsight.report.poles.hazard_charts import SAME_M, profile_chart, zone_text
 from roadsight.report.poles.poles_charts import (
     SOURCES,

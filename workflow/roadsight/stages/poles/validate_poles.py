@@ -74,7 +74,7 @@ def validate_poles(
     truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
     voxels: Annotated[Path | None, "to find side roads, driveways, car parks"] = None,
     placed: Annotated[Path | None, "layers of the objects, with guardrails"] = None,
-    roadside: Annotated[Path | None, "GeoPackage of known trees and guardrails"] = None,
+    roadside: Annotated[Path | None, "GeoPackage of known trees, guardrails, driveways"] = None,
     *,
     out: Path,
 ) -> None:
@@ -104,6 +104,7 @@ def validate_poles(
     errors = _errors(
         edges,
         voxels,
+        roadside,
         frame,
         frames,
         poles.iloc[matches[:, 0]],
@@ -206,6 +207,7 @@ def _nearest_to(places_m: Floats, outlines: Sequence[shapely.Geometry]) -> Float
 def _errors(
     edges_path: Path,
     voxels: Path | None,
+    roadside: Path | None,
     frame: Frame,
     frames: pd.DataFrame,
     found: pd.DataFrame,
@@ -227,6 +229,8 @@ def _errors(
     tracks = RouteTracks(frames)
     paved = _paved(voxels) if voxels else None
     branches = None if paved is None else find_branches(tracks, paved, edges_m)
+    if branches is not None and roadside is not None:
+        branches = branches.with_outlines(read_layer(roadside, "driveways", frame).geometry)
     scenarios = classify_places(known_m, tracks, branches, ScenarioSettings())
     return pd.concat([table, scenarios], axis=1)
 

@@ -27,7 +27,7 @@ _FAR_REACH_M = 800.0
 """How far that land reaches beyond the road."""
 _CORRIDOR_M = 110.0
 """Half width of the corridor that has an exact surface; trees stand within it."""
-SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE = 0, 1, 2
+SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE, CAR_PARK = 0, 1, 2, 3
 LANE_M = 3.2
 """Width of a lane."""
 
@@ -60,11 +60,11 @@ class Section(NamedTuple):
 
 @dataclass(frozen=True)
 class Branch:
-    """Side road or driveway.
+    """Side road, driveway or car park.
 
     Parameters
     ----------
-    kind : SIDE_ROAD, GRAVEL_DRIVE or PAVED_DRIVE.
+    kind : SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE or CAR_PARK.
     station_m, side : where it leaves; 1 is left, -1 right.
     start_m, ahead : (2,) plan place at the pavement's edge, unit direction away from the road.
     half_m, length_m, radius_m : half width, length, radius of the corners.
@@ -191,7 +191,12 @@ def make_branch(
     skew_rad: float,
 ) -> Branch:
     """Branch that leaves the road at a station, square to it but for ``skew_rad``."""
-    half, length, radius = ((2.6, 108.0, 6.0), (1.6, 38.0, 2.5), (1.8, 36.0, 2.5))[kind]
+    half, length, radius = (
+        (2.6, 108.0, 6.0),
+        (1.6, 38.0, 2.5),
+        (1.8, 36.0, 2.5),
+        (13.0, 30.0, 3.0),
+    )[kind]
     start = line.plan(station_m, side * section.pavement_m)
     angle = float(line.heading(station_m)) + side * 0.5 * math.pi + skew_rad
     ahead = np.array([math.cos(angle), math.sin(angle)])

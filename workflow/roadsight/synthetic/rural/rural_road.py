@@ -23,6 +23,7 @@ from roadsight.synthetic.rural.rural_furniture import (
     add_utility_line,
 )
 from roadsight.synthetic.rural.rural_ground import (
+    CAR_PARK,
     GRAVEL_DRIVE,
     LANE_M,
     PAVED_DRIVE,
@@ -59,6 +60,8 @@ _SHORTEST_M = 60.0
 """Shorter roads leave no room for what stands beside them."""
 _HATCHED = ((0.1, 0.2), (0.5, 0.62), (0.78, 0.86))
 """Stretches of a road of several lanes that have hatching, as shares of its length."""
+_CAR_PARKS = ((0.46, 1), (0.92, -1))
+"""Where car parks open onto the road: share of its length, side."""
 _FLUSH_M = 0.05
 """Depth of the ditch beside flush verges: the shelf's own fall, so that there is none."""
 _LONGEST_M = 3000.0
@@ -154,6 +157,7 @@ def build_rural(
     add_panels(add, panels_per_km)
     add.rng = car_rng
     _park_beside(add, cars_per_km)
+    _fill_car_parks(add)
     several = scene.lanes > 1
     passing = [] if several else [[0.42 * length_m, 0.62 * length_m]]
     hatched = [np.multiply(length_m, share) for share in _HATCHED] if several else []
@@ -181,7 +185,7 @@ def _ground(
     scene: RuralScene,
     rng: np.random.Generator,
 ) -> RuralGround:
-    """Ground with one side road, four driveways and a stream."""
+    """Ground with one side road, four driveways, car parks if any, and a stream."""
     section = Section(lanes=scene.lanes, lane_m=LANE_M * scene.lanes)
     section = section._replace(
         pavement_m=section.lane_m + rng.uniform(0.25, 0.5),
@@ -201,6 +205,11 @@ def _ground(
         for kind, share, at, skew in wanted
     ]
     gully = 0.7 * length_m + rng.uniform(-10.0, 10.0)
+    if scene.car_parks:  # last, so that all else is where it is without them
+        branches += [
+            make_branch(line, section, hills, CAR_PARK, share * length_m, at, 0.0)
+            for share, at in _CAR_PARKS
+        ]
     return RuralGround(line, section, tuple(branches), hills, gully)
 
 
@@ -223,7 +232,7 @@ def _furnish(add: Furnisher, length_m: float) -> list[Floats]:
     add_utility_line(add, side)
     add_signs(add)
     add_delineators(add)
-    drives = [b for b in ground.branches if b.kind != SIDE_ROAD]
+    drives = [b for b in ground.branches if b.kind not in (SIDE_ROAD, CAR_PARK)]
     houses = [add_house(add, branch) for branch in drives[:3]]
     for branch in drives:
         add_mailbox(add, branch)
@@ -256,3 +265,15 @@ def _park_beside(add: Furnisher, per_km: float) -> None:
         place = float(station), add.ground.section.beside(side * add.rng.uniform(4.8, 7.5))
         if add.free(*place, 2.5):
             add_vehicle(add, *place, add.rng.choice([0.0, np.pi]) + add.rng.normal(0.0, 0.1))
+
+
+def _fill_car_parks(add: Furnisher) -> None:
+    """Park cars in two rows on each car park, half of its bays taken."""
+    for park in (branch for branch in add.ground.branches if branch.kind == CAR_PARK):
+        left = np.array([-park.ahead[1], park.ahead[0]])
+        facing = float(np.arctan2(park.ahead[1], park.ahead[0]))
+        for along in (13.0, 25.0):
+            for across in add.rng.permutation(np.arange(-10.5, 11.0, 3.0))[:4]:
+                spot = park.start_m + along * park.ahead + across * left
+                station, offset = add.ground.line.road(spot)[0]
+                add_vehicle(add, station, offset, facing - add.heading(station))

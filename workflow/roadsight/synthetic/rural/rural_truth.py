@@ -10,7 +10,7 @@ from roadsight.synthetic.rural.rural_ground import SIDE_ROAD, Branch
 from roadsight.synthetic.rural.rural_road import RuralSite
 from roadsight.synthetic.rural.videolog_tables import pole_table
 
-_KINDS = ("side road", "gravel driveway", "paved driveway")
+_KINDS = ("side road", "gravel driveway", "paved driveway", "car park")
 """By kind of branch (`SIDE_ROAD` and so on)."""
 _MARGIN_M = 20.0
 """Layers go on so far beyond both ends of the road."""
@@ -21,8 +21,9 @@ _ARC_POINTS = 24
 def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
     """Layers of what is true, by name: road, its edges, and what stands beside it.
 
-    ``pavement`` (with side road), ``driveways``, ``edges``, ``centreline``, ``poles``, ``trees``,
-    ``guardrails``, ``buildings``. Curves are drawn by chords of 0.5 m, less than 0.2 mm off.
+    ``pavement`` (with side road), ``driveways`` (with car parks), ``edges``, ``centreline``,
+    ``poles``, ``trees``, ``guardrails``, ``buildings``. Curves are drawn by chords of 0.5 m, less
+    than 0.2 mm off.
     """
     stations = np.arange(-_MARGIN_M, site.length_m + _MARGIN_M + 0.25, 0.5)
     half = site.ground.section.pavement_m

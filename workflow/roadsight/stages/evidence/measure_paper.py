@@ -1,0 +1,154 @@
+"""One run of a site for the page of both studies: what it found and what it cost."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import shutil
+import sys
+from base64 import b64encode
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from roadsight.config.load import load_config, load_sites, merged
+from roadsight.evidence.tradeoffs import stage_costs
+from roadsight.evidence.variants import JobRecord, Variant
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.depth_maps import NOT_CAST_M, DepthMaps
+from roadsight.io.records.tables import read_table
+from roadsight.stages.command import Command
+
+log = logging.getLogger("measure_paper")
+
+_MAP_PX = 900
+"""Width of a depth map's picture."""
+_SENSOR = re.compile(r"render_depth_maps|build_detection_shard")
+"""Steps that work sensor by sensor; their logs lie in a folder of the sensor's name."""
+
+
+def measure_paper(
+    site: str,
+    config_json: Annotated[str, "whole configuration, JSON"],
+    changes_json: Annotated[str, "settings that differ, JSON"],
+    targets: Annotated[Sequence[str], "results to bring up to date"],
+    work: Annotated[str, "folder to work in, deleted afterwards"],
+    plans: Annotated[Sequence[str], "plans to solve, if not the site's"] = (),
+    cores: int = 1,
+    *,
+    out: Path,
+) -> None:
+    """Run the site with some settings changed, and write what the tables and figures show."""
+    config, changes = json.loads(config_json), json.loads(changes_json)
+    overrides = merged(config["overrides"], changes)
+    resolved = load_sites(load_config(config | {"overrides": overrides}))[site]
+    variant = Variant.prepare(".", work, config, site, changes, plans)
+    ran = variant.run(targets, cores)
+    log.info("ran %s", ", ".join(f"{rule} {count}" for rule, count in ran.items()) or "nothing")
+    records = variant.records(targets)
+    sample = resolved.site.sample
+    content: dict[str, Any] = {
+        "cpu_s": {rule: cost.cpu_s for rule, cost in stage_costs(records).items()},
+        "length_km": sample.length_m / 1000 if sample else None,
+    }
+    folder = variant.result("")
+    if "placement" in resolved.site.jobs:
+        content |= _placement(folder, records, plans)
+    else:
+        content |= _poles(folder)
+    write_json(out, content)
+    shutil.rmtree(variant.folder)
+
+
+def _placement(folder: Path, records: Sequence[JobRecord], plans: Sequence[str]) -> dict[str, Any]:
+    """Facts of the site, its pavement, its plans, and the time of a candidate by sensor."""
+    scores = folder / "scene/pavement_scores.json"
+    maps = sorted((folder / "placement/round-0/depth").glob("*/0.parquet"))
+    return {
+        "facts": _facts(folder),
+        "pavement": read_json(scores) if scores.is_file() else None,
+        "plans": {plan: _plan(folder / f"placement/{plan}/solution.json") for plan in plans},
+        "seconds_per_candidate": _seconds_per_candidate(folder, records),
+        "maps": {path.parent.name: _picture(path) for path in maps},
+    }
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    profile = read_json(folder / "scene/profile.json")
+    return {key: profile.get(key) for key in ("points", "spacing_m")}
+
+
+def _plan(path: Path) -> dict[str, Any]:
+    solution = read_json(path)
+    sensors = solution["sensors"]
+    return {
+        "sensors": len(sensors),
+        "status": solution["status"],
+        "bound": solution["bound"],
+        "covered_share": solution["covered_targets"] / solution["targets"],
+        "sensors_m": [[one["x"], one["y"], one["z"]] for one in sensors],
+    }
+
+
+def _seconds_per_candidate(folder: Path, records: Sequence[JobRecord]) -> dict[str, float]:
+    """Processor time of a depth map with its row of the detection matrix, by sensor."""
+    total: dict[str, float] = defaultdict(float)
+    for record in records:
+        parts = Path(record.log).parts
+        if _SENSOR.fullmatch(record.rule) and "round-0" in parts:
+            total[parts[parts.index("round-0") + 1]] += record.cpu_s
+    candidates = len(read_table(folder / "placement/round-0/candidates.parquet"))
+    return {sensor: cpu_s / max(candidates, 1) for sensor, cpu_s in sorted(total.items())}
+
+
+def _picture(path: Path) -> str:
+    """The first depth map of a file as a PNG data URL: near is bright, no return is black.
+
+    Azimuth runs across, high elevation on top; rows of few channels are drawn taller. Beams that
+    no target needs are not cast by every model: they are gray.
+    """
+    _, range_m = next(iter(DepthMaps(path)))
+    near = (255 * np.exp(-range_m / 30.0)).astype(np.uint8)
+    shade = cv2.applyColorMap(near, cv2.COLORMAP_VIRIDIS)
+    shade[range_m <= 0] = 0
+    shade[(range_m > 0) & (range_m <= NOT_CAST_M)] = 128
+    height = max(len(range_m) * _MAP_PX // max(range_m.shape[1], 1), 64)
+    drawn = cv2.resize(shade[::-1], (_MAP_PX, height), interpolation=cv2.INTER_AREA)
+    return "data:image/png;base64," + b64encode(cv2.imencode(".png", drawn)[1]).decode()
+
+
+def _poles(folder: Path) -> dict[str, Any]:
+    """Validation, components, counts of voxels and sightings, and places for the map."""
+    content: dict[str, Any] = {}
+    for name in ("validation", "components", "camera_scores"):
+        path = folder / f"poles/{name}.json"
+        content[name] = read_json(path) if path.is_file() else None
+    content["voxels"] = len(read_table(folder / "poles/voxels.parquet", ["ix"]))
+    content["edge_points"] = len(read_table(folder / "poles/road_edges.parquet", ["x"]))
+    frames = read_table(folder / "poles/frames.parquet", ["image", "x", "y"])
+    content["images"] = len(frames["image"].unique())
+    content["cameras_m"] = frames[["x", "y"]].dropna().to_numpy().round(2).tolist()
+    shards = sorted((folder / "poles/sightings").glob("*.parquet"))
+    counts: dict[str, int] = defaultdict(int)
+    for path in shards:
+        table = read_table(path, ["image", "kept"])
+        for image in table.loc[table["kept"], "image"]:
+            counts[str(image)] += 1
+    content["sightings"] = dict(sorted(counts.items()))
+    poles = folder / "poles/poles.parquet"
+    if poles.is_file():
+        table = read_table(poles, ["x", "y", "kept"])
+        content["poles_m"] = table.loc[table["kept"], ["x", "y"]].to_numpy().round(2).tolist()
+    return content
+
+
+main = Command(measure_paper)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
