@@ -237,6 +237,7 @@ class TestTraining:
         self.torch = pytest.importorskip("torch")
 
     def trained(self, steps=8):
+        from roadsight.training.depth_network import DepthUnet
         from roadsight.training.train_depth_network import Schedule, train
 
         self.torch.set_num_threads(1)
@@ -244,7 +245,7 @@ class TestTraining:
         network = train(
             [random_pairs(1), random_pairs(2)],
             Schedule(steps, 4),
-            (8, 12, 16),
+            lambda: DepthUnet((8, 12, 16)),
             lambda step, loss, kept: losses.append(loss),
         )
         return network, losses
