@@ -85,7 +85,7 @@ rule find_obstacles:
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
         depth=if_cells(plan_depth_maps),
-        cloud=if_cells(rules.ingest_cloud.output.cloud),
+        points=if_cells(rules.ingest_cloud.output.cloud),
         traffic=if_cells(traffic_mask),
         tilts=if_cells(only_if("mount_tilt", tilts_of_all_rounds)),
         decided=if_cells(after_profile("curvature_refraction")),
@@ -119,7 +119,7 @@ rule find_obstacles:
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --target-height-m {params.height_m} --engine {params.engine}"
-        " --depth {input.depth} --cloud {input.cloud} --traffic {input.traffic} --tilts {input.tilts}"
+        " --depth {input.depth} --cloud {input.points} --traffic {input.traffic} --tilts {input.tilts}"
         " {params.cells} --out {output.obstacles} > {log} 2>&1"
 
 
