@@ -27,7 +27,7 @@ from roadsight.scene.surfels.voxel_moments import sum_moments
 from roadsight.synthetic.highway.highway import build_highway
 
 ROOT = Path(__file__).parents[1]
-NETWORKS = {"": "depth_unet.onnx", ", published pairs": "depth_unet_published.onnx"}
+NETWORKS = {"": "depth_unet.onnx", ", 33 layers": "depth_unet_33.onnx"}
 SENSORS = ("OS-128", "VLP-16")
 SEED, LENGTH_M, POINTS = 7010, 80.0, 1_600_000
 SURFEL = "surfel"

@@ -11,6 +11,7 @@ from bench_measure import Size, measured, row
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.terrain.ground import published_ground
 from roadsight.scene.terrain.terrain import label_ground
 
 NEIGHBOURS = 10
@@ -46,11 +47,7 @@ def _ground(cloud: NDArray[np.float64]) -> dict[str, Any]:
         return next(tiles)[1]
 
     def published() -> NDArray[np.bool_]:
-        pillar = np.floor(cloud[:, :2] / 0.2).astype(np.int64)
-        _, inverse = np.unique(pillar, axis=0, return_inverse=True)
-        lowest = np.full(inverse.max() + 1, np.inf)
-        np.minimum.at(lowest, inverse, cloud[:, 2])
-        return cloud[:, 2] - lowest[inverse] <= 0.1
+        return published_ground(*cloud.T, GroundFilter())
 
     ours(), published()
     mask, cpu_s, mib = measured(ours)

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from roadsight.base.sections.scene import GroundFilter
+from roadsight.scene import whole
 from roadsight.scene.grids import Grid, lowest_per_cell, sample_bilinear
 from roadsight.scene.terrain import coarse as surface
 from roadsight.scene.terrain import ground, lowest
 from roadsight.scene.terrain.cells import flat_cells, sample_three
 from roadsight.scene.terrain.coarse import coarse_ground, fill_smoothly, low_outliers, pits_of
 from roadsight.scene.terrain.ground import ground_mask, window_percentile
-from roadsight.scene.terrain.ground_settings import pillar_widths_m
+from roadsight.scene.terrain.ground_settings import ground_settings_for, pillar_widths_m
 from roadsight.scene.terrain.lowest import lowest_supported
 from roadsight.scene.terrain.recovery import recovered
 
@@ -28,11 +29,50 @@ def label_xyz(xyz, settings=SETTINGS):
     return ground_mask(x, y, z, coarse, settings)
 
 
-def published_label(scene, width_m=0.2, threshold_m=0.1):
+def published_label(scene):
     """The paper's filter: the lowest point of a pillar is its ground."""
-    x, y, z = scene.xyz_m.T
-    grid = Grid.around(x, y, width_m)
-    return z - lowest_per_cell(grid, x, y, z).ravel()[grid.flat(x, y)] <= threshold_m
+    return ground.published_ground(*scene.xyz_m.T, GroundFilter(method="pillars"))
+
+
+class TestPublishedRule:
+    """0.2 m pillars, 0.1 m above the lowest point (paper 1, section 2.2, Table 3)."""
+
+    def slow(self, xyz, width_m, height_m):
+        """The rule, pillar by pillar and point by point."""
+        lowest = {}
+        keys = [tuple(np.floor(point[:2] / width_m).astype(int)) for point in xyz]
+        for key, point in zip(keys, xyz, strict=True):
+            lowest[key] = min(lowest.get(key, np.inf), point[2])
+        return np.array([xyz[k, 2] - lowest[key] <= height_m for k, key in enumerate(keys)])
+
+    @pytest.mark.parametrize(("width_m", "height_m"), [(0.2, 0.1), (0.5, 0.3)])
+    def test_it_is_that_of_a_literal_loop(self, rng, width_m, height_m):
+        xyz = rng.uniform((-3, 4, 0), (3, 9, 0.6), (4000, 3))
+        settings = GroundFilter(
+            method="pillars", pillar_width_m=width_m, height_threshold_m=height_m
+        )
+        found = ground.published_ground(*xyz.T, settings)
+        np.testing.assert_array_equal(found, self.slow(xyz, width_m, height_m))
+        assert 0.1 < found.mean() < 0.9
+
+    def test_unknown_heights_are_no_ground_and_hide_none(self):
+        xyz = np.array([[0.1, 0.1, np.nan], [0.1, 0.1, 2.0], [0.1, 0.12, 2.05], [0.15, 0.1, 2.2]])
+        found = ground.published_ground(*xyz.T, GroundFilter(method="pillars"))
+        assert found.tolist() == [False, True, True, False]
+
+    def test_tiles_give_what_the_whole_cloud_gives(self, rng, monkeypatch):
+        xyz = rng.uniform((0, 0, 0), (61, 17, 0.5), (30_000, 3))
+        settings = GroundFilter(method="pillars", pillar_width_m=0.3)
+        once = whole.ground_of(xyz, settings)
+        monkeypatch.setattr(whole, "_LARGEST_TILE_M", 10.0)  # borders that cut pillars
+        np.testing.assert_array_equal(whole.ground_of(xyz, settings), once)
+        np.testing.assert_array_equal(once, self.slow(xyz, 0.3, 0.1))
+
+    def test_pillars_are_no_narrower_than_points_are_apart(self):
+        published = GroundFilter(method="pillars")
+        assert ground_settings_for(0.5, published).pillar_width_m == 0.5
+        assert ground_settings_for(0.1, published).pillar_width_m == 0.2
+        assert ground_settings_for(0.5, GroundFilter()).pillar_width_m == 0.2
 
 
 def errors(scene, mask):

@@ -17,6 +17,18 @@ def test_columns_equal_a_literal_loop(rng):
     assert count.tolist() == [len(cells[key]) for key in sorted(cells)]
 
 
+def test_cubes_equal_a_literal_loop(rng):
+    xyz, values = rng.uniform(-2, 2, (400, 3)), rng.normal(size=(400, 2))
+    centroid, mean, count = column_means(xyz, values, 0.5, "voxels")
+    cubes = {}
+    for point, value in zip(xyz, values, strict=True):
+        x, y, z = np.floor(point / 0.5).astype(int)
+        cubes.setdefault((y, x, z), []).append((*point, *value))
+    expected = [np.mean(cubes[key], axis=0) for key in sorted(cubes)]
+    np.testing.assert_allclose(np.column_stack([centroid, mean]), expected, atol=1e-12)
+    assert count.tolist() == [len(cubes[key]) for key in sorted(cubes)]
+
+
 def test_height_does_not_split_a_column():
     xyz = np.array([[0.05, 0.05, 0.0], [0.05, 0.05, 9.0]])
     centroid, _, count = column_means(xyz, np.empty((2, 0)), 0.1)

@@ -14,7 +14,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.stages.scene import build_dem, ingest_cloud, profile_scene
 
 
-def run(folder, xyz, classes):
+def run(folder, xyz, classes, *options):
     """Doubts by their code, frame and exit status of a site made of points."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
@@ -31,7 +31,9 @@ def run(folder, xyz, classes):
     assert profile_scene.main([*both, "--out", at["profile"]]) == 0
     outputs = ["--dem", at["dem.tif"], "--ground", at["ground"]]
     told = ["--doubts", str(folder / "doubts.json")]
-    assert build_dem.main([*site, *both, "--profile", at["profile"], *outputs, *told]) == 0
+    assert (
+        build_dem.main([*site, *both, "--profile", at["profile"], *outputs, *told, *options]) == 0
+    )
     doubts = json.loads((folder / "doubts.json").read_text())
     frame = Frame.from_dict(json.loads((folder / "frame").read_text()))
     return {doubt["code"]: doubt for doubt in doubts}, frame
@@ -67,3 +69,25 @@ def test_the_measured_band_marks_the_cells_with_ground_points(tmp_path, scene):
     assert np.isfinite(dem.values[dem.measured]).all()
     x, y, _ = frame.to_local(scene.xyz_m[scene.ground]).T
     assert dem.is_measured(x, y).mean() > 0.99
+
+
+def test_the_published_rule_takes_the_roof_that_hides_its_ground(tmp_path, scene):
+    ones = np.ones(len(scene.xyz_m), np.uint8)
+    shares = {}
+    for method in ("robust", "pillars"):
+        folder = tmp_path / method
+        folder.mkdir()
+        doubts, _ = run(folder, scene.xyz_m, ones, "--method", method)
+        found = read_table(folder / "ground")["ground"].to_numpy()
+        shares[method] = found.mean()
+        assert ("raised_coarse_cell_m" in doubts) is False
+    # Below the roof no pillar has ground: its points are the lowest ones.
+    assert shares["robust"] == pytest.approx(scene.ground.mean(), abs=0.01)
+    assert shares["pillars"] > scene.ground.mean() + 0.08
+
+
+def test_published_pillars_that_are_raised_are_told(tmp_path, rng):
+    xyz = np.column_stack([*rng.uniform(0, 60, (2, 7200)), rng.normal(0, 0.01, 7200)])
+    ones = np.ones(len(xyz), np.uint8)
+    doubts, _ = run(tmp_path, xyz, ones, "--method", "pillars")
+    assert doubts["raised_pillar_width_m"]["measured"] == pytest.approx(2**-0.5, rel=0.05)

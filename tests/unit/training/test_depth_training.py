@@ -25,7 +25,7 @@ from roadsight.stages.placement import render_depth_pairs
 from roadsight.training import render_depth_dataset
 from roadsight.training.depth_patches import PATCH_CELLS, random_patches
 from roadsight.training.depth_scenes import highway_site, simple_site
-from roadsight.training.evaluate_depth_network import map_errors
+from roadsight.training.evaluate_depth_network import map_errors, pixel_errors
 
 
 def random_pairs(seed, maps=3, shape=(80, 120)):
@@ -124,6 +124,19 @@ class TestScenes:
             one, other = (read_dataset(tmp_path / name, truth) for name in ("a", "b"))
             assert list(one) == ["simple_50"]
             assert digest(one.values()) == digest(other.values())
+
+
+def test_errors_of_pixels_are_over_all_cells():
+    steps = np.array([[[0, 1000, 2000, 0]]], np.uint16)
+    wanted = np.array([[[0, 1000, 2500, 500]]], np.uint16)
+
+    def kept(maps):
+        return maps  # a regression that gives what it gets
+
+    found = pixel_errors([DepthPairs(steps, wanted)], kept)
+    off_m = STEP_M * np.array([0, 0, 500, 500])
+    assert found["pixel_rmse_m"] == pytest.approx(np.sqrt(np.mean(off_m**2)), abs=1e-3)
+    assert found["pixel_rmse"] == pytest.approx(found["pixel_rmse_m"] / (2000 * STEP_M), abs=1e-3)
 
 
 def test_errors_of_maps_count_what_is_missed_invented_and_off():
@@ -237,6 +250,7 @@ class TestTraining:
         self.torch = pytest.importorskip("torch")
 
     def trained(self, steps=8):
+        from roadsight.training.depth_network import DepthUnet
         from roadsight.training.train_depth_network import Schedule, train
 
         self.torch.set_num_threads(1)
@@ -244,7 +258,7 @@ class TestTraining:
         network = train(
             [random_pairs(1), random_pairs(2)],
             Schedule(steps, 4),
-            (8, 12, 16),
+            lambda: DepthUnet((8, 12, 16)),
             lambda step, loss, kept: losses.append(loss),
         )
         return network, losses
@@ -261,6 +275,51 @@ class TestTraining:
             assert worst < 1e-4
             assert np.isfinite(losses).all()
         assert files[0].read_bytes() == files[1].read_bytes()
+
+    def test_the_published_network_has_33_layers(self):
+        from roadsight.training.published_unet import PublishedUnet, layers_of, regression_loss
+
+        network = PublishedUnet(4).eval()
+        assert layers_of(network) == 33
+        maps = self.torch.rand(2, 1, 24, 36)
+        found = network(maps)
+        assert found.shape == maps.shape
+        # A far change reaches no cell: two poolings see 22 cells around at most.
+        other = maps.clone()
+        other[..., 35] += 5.0
+        assert self.torch.equal(network(other)[..., :12], found[..., :12])
+        assert not self.torch.equal(network(other)[..., 30:], found[..., 30:])
+        loss = regression_loss(found, maps)
+        expected = 0.5 * np.mean((found.detach().numpy() - maps.numpy()) ** 2)
+        assert float(loss.detach()) == pytest.approx(expected, rel=1e-5)
+
+    def test_pairs_are_split_as_published(self):
+        from roadsight.training.published_unet import split_pairs
+
+        scenes = [random_pairs(1, maps=12), random_pairs(2, maps=8)]
+        parts = split_pairs(scenes, 3)
+        assert [sum(map(len, part)) for part in parts] == [14, 3, 3]
+        marks = [pairs.refined[k].tobytes() for pairs in scenes for k in range(len(pairs))]
+        drawn = [p.refined[k].tobytes() for part in parts for p in part for k in range(len(p))]
+        assert sorted(drawn) == sorted(marks)
+        again = split_pairs(scenes, 3)
+        assert all(digest(a) == digest(b) for a, b in zip(parts, again, strict=True))
+        assert digest(split_pairs(scenes, 4)[0]) != digest(parts[0])
+
+    def test_the_command_trains_and_tests_the_published_network(self, tmp_path):
+        from roadsight.training import train_depth_network
+
+        write_pairs(tmp_path / "s.hybrid.npz", random_pairs(1, maps=8))
+        files = ["--data", str(tmp_path), "--truth", "hybrid", "--shape", "published"]
+        for name in ("a.onnx", "b.onnx"):
+            options = ["--steps", "3", "--batch", "2", "--filters", "4"]
+            assert train_depth_network.main([*files, *options, "--out", str(tmp_path / name)]) == 0
+        assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
+        entry = json.loads((tmp_path / "training_record.json").read_text())["a.onnx"]
+        assert (entry["layers"], entry["maps_of_parts"]) == (33, [6, 1, 1])
+        assert entry["test"]["patch_rmse"] == pytest.approx(
+            56 * entry["test"]["pixel_rmse"], abs=1e-3
+        )
 
     def test_the_command_writes_file_and_record(self, tmp_path):
         from roadsight.training import train_depth_network

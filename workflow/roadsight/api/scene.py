@@ -32,8 +32,8 @@ IntensityUse = Literal["auto", "use", "ignore"]
 def ground(points: Points, settings: GroundFilter | None = None) -> Bools:
     """Which points are ground.
 
-    Progressive pillars, then a triangulation that grows (``docs/scene/ground.md``; the first study
-    leaves this step to other programs, paper 1, section 2.1).
+    A coarse surface says where the ground can be, pillars decide (``docs/scene/ground.md``), or the
+    published rule alone (``GroundFilter(method="pillars")``, paper 1, section 2.2).
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from roadsight.base.sections.poles import (
 from roadsight.base.sections.poses import Poses
 from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import Edges, Ground, Pavement, Scene
-from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
+from roadsight.base.sections.sensing import Lidar, Obstacles, Targets, Tolerance
 from roadsight.placement.candidates.mounting import Mounting
 
 
@@ -51,6 +51,7 @@ class Settings(Run):
     )
     coverage: Coverage = Coverage()
     cover: Cover = Cover()
+    obstacles: Obstacles = Obstacles()
     tolerance: Tolerance = Tolerance()
     voxels: Voxels = Voxels()
     road_edges: RoadEdges = RoadEdges()

@@ -84,6 +84,11 @@ rule find_obstacles:
         objects=rules.gather_objects.output.members,
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
+        depth=if_cells(plan_depth_maps),
+        points=if_cells(rules.ingest_cloud.output.cloud),
+        traffic=if_cells(traffic_mask),
+        tilts=if_cells(only_if("mount_tilt", tilts_of_all_rounds)),
+        decided=if_cells(after_profile("curvature_refraction")),
         code=sources_with("find_obstacles", setting("lidar.engine")),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
@@ -104,6 +109,7 @@ rule find_obstacles:
         height_m=target_height,
         mounting=mounting_rules,
         engine=setting("lidar.engine"),
+        cells=cell_arguments,
     shell:
         "python -m roadsight.stages.placement.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
@@ -112,7 +118,9 @@ rule find_obstacles:
         " --objects {input.objects} --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
-        " --target-height-m {params.height_m} --engine {params.engine} --out {output.obstacles} > {log} 2>&1"
+        " --target-height-m {params.height_m} --engine {params.engine}"
+        " --depth {input.depth} --cloud {input.points} --traffic {input.traffic} --tilts {input.tilts}"
+        " {params.cells} --out {output.obstacles} > {log} 2>&1"
 
 
 rule render_scans:

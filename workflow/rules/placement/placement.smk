@@ -250,6 +250,7 @@ rule densify_candidates:
         mounts=layered_site("placement.mounts"),
         plans=plan_sensors,
         radius_m=setting("coverage.radius_m"),
+        closest_m=setting("coverage.closest_m"),
         options=flags("candidates"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
@@ -257,6 +258,7 @@ rule densify_candidates:
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
         " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
         " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
-        " --plans {params.plans:q} --radius-m {params.radius_m} {params.options}"
+        " --plans {params.plans:q} --radius-m {params.radius_m} --closest-m {params.closest_m}"
+        " {params.options}"
         " --ground {input.ground} --mounts {params.mounts:q} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

@@ -335,6 +335,44 @@ def air_of_site(wildcards):
     ]
 
 
+def by_cells(wildcards):
+    return setting("obstacles.method")(wildcards) == "cells"
+
+
+def if_cells(files):
+    """Inputs of obstacles by cells, as the first study finds them: a function, or a path."""
+    return lambda wildcards: (
+        (files(wildcards) if callable(files) else [files.format(**wildcards)])
+        if by_cells(wildcards)
+        else []
+    )
+
+
+def cell_arguments(wildcards):
+    """Arguments of obstacles by cells; nothing for others."""
+    if not by_cells(wildcards):
+        return ""
+    if box_of(wildcards.site) is not None:
+        clearly(refuse_boxes, wildcards)
+    found = SITES[wildcards.site].settings
+    text = (
+        f"--method cells --target-radius-m {found.targets.radius_m}"
+        f" --azimuth-stride {found.lidar.azimuth_stride}"
+        f" --curvature {decision_on('curvature_refraction')(wildcards)}"
+    )
+    return NamedValue("cells", text)
+
+
+def refuse_boxes(wildcards):
+    targets = SITES[wildcards.site].settings.targets
+    raise InputError(
+        "obstacles by cells are for cylinders, the first study's targets",
+        where=f"site {wildcards.site}: obstacles.method",
+        found=f"targets.kind: {targets.kind}",
+        hint="set obstacles.method: sight_lines, or targets.kind: cylinder",
+    )
+
+
 def change_arguments(wildcards):
     """How targets are seen, and how far sensors may stand from their plan, as arguments."""
     found = SITES[wildcards.site].settings

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from roadsight.base.errors import InputError
 from roadsight.io.images.depth_networks import DepthNetwork
 from roadsight.io.records.checksums import sha256
+from roadsight.io.records.depth_pairs import stack_pairs
 from roadsight.placement.depth.depth_filling import fill_linearly
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.models import model_of_points
@@ -29,12 +30,12 @@ from roadsight.placement.depth.unet import (
 )
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.training.depth_scenes import simple_site
-from roadsight.training.evaluate_depth_network import map_errors
+from roadsight.training.evaluate_depth_network import map_errors, pixel_errors
 from tests.conftest import PROJECT
 
 ROOT = PROJECT
 MODELS = ROOT / "resources/models"
-NETWORKS = ("depth_unet.onnx", "depth_unet_published.onnx")
+NETWORKS = ("depth_unet.onnx", "depth_unet_33.onnx")
 SENSORS = {
     name: sensor
     for name, sensor in load_sensors(ROOT / "config/sensors.yaml").items()
@@ -85,6 +86,19 @@ class TestTiles:
         range_m, returns = refined(depth, identity, wraps=wraps)
         np.testing.assert_array_equal(range_m, depth)
         np.testing.assert_array_equal(returns, depth > 0)
+
+    def test_a_regression_alone_returns_where_it_is_nearer_to_the_least_range_than_to_0(self):
+        depth = np.array([[8.0, 0.0, 0.0, 0.0, 32.0, 64.0]], np.float32)
+        wanted_m = np.array([[7.0, 3.9, 4.1, -2.0, 33.0, 60.0]], np.float32)
+
+        def regress(maps):
+            found = np.zeros_like(maps)
+            found[0, 0, :1, HALO_CELLS : HALO_CELLS + 6] = wanted_m / 64.0
+            return found
+
+        range_m, returns = refined(depth, regress, wraps=False)
+        assert returns.tolist() == [[True, False, True, False, True, True]]
+        np.testing.assert_allclose(range_m[returns], wanted_m[returns], rtol=1e-6)
 
     def test_tiles_are_of_whole_cells_of_the_network(self):
         shapes = []
@@ -388,6 +402,19 @@ class TestShipped:
         fine = grid_sensor((-45.0, 45.0), (-250, 250), 120.0)
         seen = site.cloud_m, fine, site.positions_m[0], float(site.yaws_deg[0])
         given, target = preliminary_depth(*seen), hybrid_depth(*seen)
-        range_m, returns = refined(given, shipped(NETWORKS[1]), wraps=False)
-        found = np.where(returns, range_m, 0)
-        assert map_errors(found, target)["wrong"] < 0.5 * map_errors(given, target)["wrong"]
+        pairs = stack_pairs([(given, target)])
+        learnt = pixel_errors([pairs], shipped(NETWORKS[1]))["pixel_rmse_m"]
+        assert learnt < 0.7 * np.sqrt(np.mean((given - target) ** 2))
+
+    @pytest.mark.parametrize("way", ["unet", "unet_mask"])
+    def test_the_network_of_33_layers_sees_the_ground_both_ways(self, way):
+        rng = np.random.default_rng(2)
+        ground = np.column_stack([rng.uniform(-30, 30, (200_000, 2)), np.zeros(200_000)])
+        sensor = SENSORS["OS-32"].thinned(16)
+        model = model_of_points(way, shipped(NETWORKS[1]))
+        depth = model(ground.astype(np.float32), sensor, [0.0, 0.0, 5.0], 0.0)
+        down = sensor.elevation_deg < -12
+        expected = -5.0 / np.sin(np.radians(sensor.elevation_deg[down]))
+        off_m = np.abs(depth[down] - expected[:, None])
+        assert np.median(off_m) < 1.0
+        assert (depth[sensor.elevation_deg > 10] > 0).mean() < 0.1

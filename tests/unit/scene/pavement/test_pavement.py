@@ -11,7 +11,7 @@ from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.pavement.outline import outline_pavement, vote
+from roadsight.scene.pavement.outline import outline_pavement, pavement_settings_for, vote
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.surfels.thinning import column_means
 
@@ -57,6 +57,38 @@ def test_a_smooth_road_is_found_in_rough_ground(rng):
     assert (found & true).sum() / found.sum() > 0.95
     assert outline.is_valid
     assert len(outline.geoms) == 1
+
+
+PUBLISHED = PavementOutline(
+    vote_radius_m=0, closing_m=0, smallest_hole_m2=0, smallest_part_share=1, outline_cell_m=0.2
+)
+
+
+class TestWithoutAdditions:
+    """The published clustering: no vote, no closing, distances as they are set."""
+
+    def test_a_stray_rough_point_stays_out_and_a_gap_stays_open(self, rng):
+        xyz = raster_of(box(0, 0, 30, 12), rng)
+        smooth = ~((np.abs(xyz[:, 0] - 15) < 0.5) & (np.abs(xyz[:, 1] - 6) < 0.5))
+        published = outline_pavement(xyz, smooth, PUBLISHED)
+        assert not shapely.contains_xy(published, 15, 6)
+        assert shapely.contains_xy(outline_pavement(xyz, smooth, SETTINGS), 15, 6)
+
+    def test_there_is_one_cluster(self, rng):
+        xyz = raster_of(shapely.union_all([box(0, 0, 40, 8), box(0, 12, 40, 19)]), rng)
+        found = all_smooth(xyz, PUBLISHED)
+        assert found.bounds[3] < 8.3
+        assert all_smooth(xyz).bounds[3] > 18.5
+
+    def test_voxels_leave_distances_as_they_are_set(self):
+        assert pavement_settings_for(0.1, PUBLISHED, "voxels") == PUBLISHED
+        raised = pavement_settings_for(0.1, PUBLISHED, "columns")
+        assert raised.cluster_distance_m == 0.25
+        assert raised.vote_radius_m == raised.closing_m == 0
+
+    def test_clusters_nearer_than_the_spacing_are_refused(self):
+        with pytest.raises(InputError, match=r"cluster_distance_m.*0.2 m.*at least 0.3 m"):
+            pavement_settings_for(0.3, PUBLISHED, "voxels")
 
 
 def test_outline_of_a_rectangle_lies_within_a_cell(rng):

@@ -44,6 +44,12 @@ class Coverage(Section):
 
     rounds: int = Field(default=1, ge=0, le=5, description="rounds of denser candidates near gaps")
     radius_m: Metres = Field(default=30.0, description="new candidates stand this near a gap, m")
+    closest_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=1000,
+        description="spacings are halved as long as they are no less than this, m; 0: each round",
+    )
     felled: int = Field(
         default=1, ge=0, le=20, description="objects tried without, those that hide most; 0: none"
     )

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section, Share
 
+NoneOrMetres = Annotated[float, Field(ge=0, le=1000)]
+"""A length that 0 switches off."""
+Thinning = Literal["columns", "voxels"]
+"""What ground points are thinned to."""
 Overlap = Literal["use", "leave_out"]
 """What is done with points that are flagged as overlap of flight lines."""
 
@@ -31,11 +35,16 @@ class Scene(Section):
 
 
 class GroundFilter(Section):
-    """Robust pillar ground filter."""
+    """Ground filter."""
 
+    method: Literal["robust", "pillars"] = Field(
+        default="robust",
+        description="pillars: the published rule, by each pillar's lowest point (no other setting"
+        " than its width and threshold)",
+    )
     pillar_width_m: Metres = Field(
         default=0.2,
-        description="width of the finest pillar, m; doubled where points are sparse",
+        description="width of a pillar, m; robust: doubled where points are sparse",
     )
     height_threshold_m: Metres = Field(
         default=0.1,
@@ -57,7 +66,7 @@ class GroundFilter(Section):
 
 
 class Ground(GroundFilter):
-    """Robust pillar ground filter and terrain model."""
+    """Ground filter and terrain model."""
 
     dem_cell_m: Metres = Field(default=0.5, description="cell of the terrain model, m")
     dem_fill_m: Metres = Field(default=20.0, description="gaps are filled up to this distance, m")
@@ -82,9 +91,14 @@ class PavementMethod(Section):
 class GroundClasses(Section):
     """Smooth and rough ground by FPFH and k-means."""
 
+    thinning: Thinning = Field(
+        default="columns",
+        description="ground points are thinned to one per column; voxels: per cube, as published,"
+        " and no distance of the outline is raised",
+    )
     voxel_size_m: Metres = Field(
         default=0.1,
-        description="ground points are thinned to one per column this wide, m; at least spacing",
+        description="width of a column or cube, m; at least the spacing of the points",
     )
     neighbours: int = Field(
         default=10, ge=3, le=100, description="K1, neighbours of a point for its FPFH"
@@ -109,9 +123,13 @@ class PavementOutline(Section):
         default=0.2,
         description="points closer than this are connected, m; at least 2.5 thinned spacings",
     )
-    vote_radius_m: Metres = Field(default=0.5, description="radius in which neighbours vote, m")
+    vote_radius_m: NoneOrMetres = Field(
+        default=0.5, description="radius in which neighbours vote, m; 0: no vote"
+    )
     outline_cell_m: Metres = Field(default=0.25, description="cell of the raster that is traced, m")
-    closing_m: Metres = Field(default=1.0, description="gaps narrower than this are closed, m")
+    closing_m: NoneOrMetres = Field(
+        default=1.0, description="gaps narrower than this are closed, m; 0: none"
+    )
     smallest_hole_m2: float = Field(default=20.0, ge=0, description="smaller holes are filled, m2")
     smallest_part_share: Share = Field(
         default=0.2, description="separate surfaces are kept above this share of the largest one"

@@ -70,6 +70,15 @@ class Targets(TargetGrid):
         return curve
 
 
+class Obstacles(Section):
+    """What hides targets from the chosen sensors."""
+
+    method: Literal["sight_lines", "cells"] = Field(
+        default="sight_lines",
+        description="cells: as published, the points of a depth map's cells before their target",
+    )
+
+
 class Tolerance(Section):
     """How far sensors may stand from their plan: each is looked at alone."""
 
@@ -139,6 +148,12 @@ class CellFilling(Section):
         default=5, description="hybrid: cells with fewer points are filled"
     )
     neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
+    reach_cells: float = Field(
+        default=1.5,
+        gt=0,
+        le=100,
+        description="hybrid: neighbours farther from the beam than this many cells fill none",
+    )
 
 
 class Lidar(CellFilling, SurfelMaking, DepthMaps):

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Numbers
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster, write_raster
@@ -19,13 +20,9 @@ from roadsight.scene.traffic import Columns, is_traffic
 from roadsight.scene.whole import ground_of
 
 
-def _lowest_in_pillar(xyz: Numbers, width_m: float = 0.2, above_m: float = 0.1) -> Numbers:
-    """Ground as what is at most so far above the lowest point of its pillar (the paper's way)."""
-    cell = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / width_m).astype(int)
-    number = cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]
-    lowest = np.full(number.max() + 1, np.inf)
-    np.minimum.at(lowest, number, xyz[:, 2])
-    return xyz[:, 2] - lowest[number] <= above_m
+def _lowest_in_pillar(xyz: Numbers) -> Numbers:
+    """Ground by the published rule."""
+    return ground_of(xyz, GroundFilter(method="pillars"))
 
 
 def _ground(xyz: Numbers) -> Numbers:

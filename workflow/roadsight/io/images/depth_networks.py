@@ -53,17 +53,24 @@ class DepthNetwork:
             )
 
     def __call__(self, maps: Floats32) -> Floats32:
-        """Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w).
+        """Refined depth, and a score of a return if it has one, (n, 1 or 2, h, w).
+
+        Parameters
+        ----------
+        maps : (n, 1, h, w), normalised.
 
         Raises
         ------
         InputError : the network gives something of another shape.
         """
         found: Floats32 = self._session.run(["refined"], {"depth": maps})[0]
-        wanted = (maps.shape[0], 2, *maps.shape[2:])
-        if found.shape != wanted:
+        wanted = [(maps.shape[0], channels, *maps.shape[2:]) for channels in (1, 2)]
+        if found.shape not in wanted:
             raise InputError(
-                "gives a map of another shape", where=self._path, found=found.shape, allowed=wanted
+                "gives a map of another shape",
+                where=self._path,
+                found=found.shape,
+                allowed=f"{wanted[0]} or {wanted[1]}",
             )
         return found
 

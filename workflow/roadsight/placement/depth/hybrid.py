@@ -1,9 +1,12 @@
 """Depth maps from the points themselves (paper 1, section 2.4, Algorithm 1).
 
-The published text lost Algorithm 1's last steps; they are restored here as follows. A cell of at
-least ``min_cell_points`` points returns their least range. Every other cell takes the points
-nearest to its centre in azimuth and elevation (Step 5), measures each point's distance d to the
-beam (Eqs. 3 and 4) and returns their mean range weighted by 1 / d (Steps 6 and 7).
+A cell of at least ``min_cell_points`` points returns their least range (Step 4). Every other cell
+takes the points nearest to its centre in azimuth and elevation (Step 5) and measures each one's
+distance d to the beam (Eqs. 3 and 4). The text at hand lost Steps 6 and 7, a "spatial
+interpolation". Two things are guessed here. The cell returns the mean range of these points,
+weighted by 1 / d. Points farther from the beam than ``reach_cells`` cells take no part: some such
+limit there must be, since refined maps have elements of 0 (Fig. 12), and without one the whole sky
+would return the nearest treetop.
 """
 
 from __future__ import annotations
@@ -18,12 +21,6 @@ from roadsight.placement.depth.angular_neighbours import Spherical, bin_points, 
 from roadsight.placement.sensors.sensors import Sensor
 
 _USUAL = Lidar()
-
-REACH_CELLS = 1.5
-"""Points farther from a beam than this many of the cells' longest side do not fill its cell.
-
-The paper sets no limit; without one the whole sky would return the nearest treetop.
-"""
 
 
 def preliminary_depth(
@@ -49,32 +46,35 @@ def hybrid_depth(
     *,
     min_cell_points: int = _USUAL.min_cell_points,
     neighbours: int = _USUAL.neighbours,
+    reach_cells: float = _USUAL.reach_cells,
 ) -> Floats32:
     """Algorithm 1: range of every beam, 0 where nothing is near it; shape (rows, columns).
 
     Equally near neighbours are taken in input order. Fewer than ``neighbours`` points within reach
-    (`REACH_CELLS`) are used as they are; a point on the beam itself alone decides the range.
+    are used as they are; a point on the beam itself alone decides the range.
 
     Parameters
     ----------
     xyz_m, position_m, yaw_deg : as `preliminary_depth`.
     min_cell_points : N, cells with fewer points are filled. neighbours : K2.
+    reach_cells : farthest neighbours, in longest sides of a cell.
     """
     points = points_in_range(xyz_m, sensor, position_m, yaw_deg)
     least, counts = least_ranges(points, sensor)
     sparse = counts < min_cell_points
     depth = np.where(sparse, 0.0, least)
     if len(points.range_m):
-        bins = bin_points(points, reach_deg(sensor), sensor.elevation_edges_deg)
+        reach = reach_deg(sensor, reach_cells)
+        bins = bin_points(points, reach, sensor.elevation_edges_deg)
         beams = (sensor.azimuth_deg, sensor.elevation_deg)
-        fill_cells(points, bins, *beams, reach_deg(sensor), neighbours, sparse, depth)
+        fill_cells(points, bins, *beams, reach, neighbours, sparse, depth)
     return depth.astype(np.float32)
 
 
-def reach_deg(sensor: Sensor) -> float:
+def reach_deg(sensor: Sensor, reach_cells: float = _USUAL.reach_cells) -> float:
     """Greatest angle between a beam and the points that may fill its cell."""
     tallest = float(np.diff(sensor.elevation_edges_deg).max())
-    return min(REACH_CELLS * max(sensor.azimuth_cell_deg, tallest), 45.0)
+    return min(reach_cells * max(sensor.azimuth_cell_deg, tallest), 45.0)
 
 
 def points_in_range(

@@ -7,11 +7,11 @@ from functools import partial
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
-from roadsight.base.sections.sensing import Lidar
+from roadsight.base.sections.sensing import CellFilling
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
 
-_USUAL = Lidar()
+_USUAL = CellFilling()
 
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)
@@ -25,22 +25,22 @@ def model_of_points(
     name: str,
     network: Network | None = None,
     *,
-    min_cell_points: int = _USUAL.min_cell_points,
-    neighbours: int = _USUAL.neighbours,
+    filling: CellFilling = _USUAL,
 ) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 
     Parameters
     ----------
     name : a `DepthModel` but surfel. network : for `NETWORK_MODELS`.
-    min_cell_points, neighbours : as `roadsight.placement.depth.hybrid.hybrid_depth` takes them.
+    filling : of sparse cells; the hybrid model alone has it.
 
     Raises
     ------
     InputError : the model needs a network and there is none.
     """
     if name == "hybrid":
-        return partial(hybrid_depth, min_cell_points=min_cell_points, neighbours=neighbours)
+        names = CellFilling.model_fields
+        return partial(hybrid_depth, **{name: getattr(filling, name) for name in names})
     if name not in _UNETS:
         return preliminary_depth
     if network is None:

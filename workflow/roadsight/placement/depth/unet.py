@@ -21,7 +21,8 @@ from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG, norm
 from roadsight.placement.sensors.sensors import Sensor
 
 Run = Callable[[Floats32], Floats32]
-"""A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w)."""
+"""A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or
+to refined ones alone (1, 1, h, w), as the paper's is."""
 
 HALO_CELLS = 56
 """How far around a cell the network looks, rounded up."""
@@ -108,6 +109,10 @@ def grid_sensor(azimuth_deg: tuple[float, float], rows: tuple[int, int], range_m
 def refined(depth_m: Floats32, run: Run, *, wraps: bool = True) -> tuple[Floats32, Bools]:
     """Refined ranges (rows, columns) of a preliminary map, and where there is a return.
 
+    A network with a score of a return decides by it. Of one without, the paper takes the non-zero
+    elements of its output (Fig. 12). A regression is never exactly 0 and the text says no more; the
+    guess here: an element is zero if it is nearer to 0 than to the map's least range.
+
     A map without any return, or with the same range everywhere, has nothing to refine and stays.
 
     Parameters
@@ -120,15 +125,17 @@ def refined(depth_m: Floats32, run: Run, *, wraps: bool = True) -> tuple[Floats3
         return depth_m, depth_m > 0
     output = _tiled(values, run, wraps)
     range_m = np.maximum(low + output[0] * np.float32(high - low), 0.0).astype(np.float32)
+    if len(output) == 1:
+        return range_m, range_m >= 0.5 * depth_m[depth_m > 0].min()
     return range_m, (output[1] > 0) & (range_m > 0)
 
 
 def _tiled(values: Floats32, run: Run, wraps: bool) -> Floats32:
-    """What the network gives, (2, rows, columns), tile by tile with enough around each."""
+    """What the network gives, (1 or 2, rows, columns), tile by tile with enough around each."""
     rows, columns = values.shape
     padded = np.zeros((_rounded_up(rows), columns), np.float32)
     padded[:rows] = values
-    output = np.empty((2, rows, columns), np.float32)
+    tiles = []
     for first in range(0, columns, TILE_CELLS):
         last = min(first + TILE_CELLS, columns)
         around = np.arange(first - HALO_CELLS, first + _rounded_up(last - first) + HALO_CELLS)
@@ -136,8 +143,8 @@ def _tiled(values: Floats32, run: Run, wraps: bool) -> Floats32:
         if not wraps:
             window[:, (around < 0) | (around >= columns)] = 0.0
         found = run(np.ascontiguousarray(window[None, None]))[0]
-        output[:, :, first:last] = found[:, :rows, HALO_CELLS : HALO_CELLS + last - first]
-    return output
+        tiles.append(found[:, :rows, HALO_CELLS : HALO_CELLS + last - first])
+    return np.concatenate(tiles, axis=2)
 
 
 def _rounded_up(cells: int) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.rays import sensor_from_local
@@ -98,6 +98,58 @@ def _count(
                     if range_m < max_range_m and (scene_m == 0 or range_m < scene_m):
                         hits[target] += 1
     return hits
+
+
+def target_ranges(
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    foot_m: ArrayLike,
+    radius_m: float,
+    height_m: float,
+) -> tuple[Ints, Ints, Floats]:
+    """Row, column and range of each beam that meets a target within the sensor's range.
+
+    They are the depth map of the target alone (paper 1, section 2.5, step iii).
+
+    Parameters
+    ----------
+    position_m, yaw_deg : as `count_hits`. foot_m : (3,) of the target, local metres.
+    """
+    range_m = _target_map(
+        sensor_from_local(foot_m, position_m, yaw_deg),
+        np.radians(sensor.azimuth_deg),
+        np.tan(np.radians(sensor.elevation_deg)),
+        sensor.azimuth_min_deg,
+        sensor.azimuth_cell_deg,
+        radius_m,
+        height_m,
+    )
+    rows, columns = np.nonzero((range_m > 0) & (range_m < sensor.range_m))
+    return rows, columns, range_m[rows, columns]
+
+
+@compiled()
+def _target_map(
+    foot: Floats,
+    azimuth: Floats,
+    slope: Floats,
+    start_deg: float,
+    cell_deg: float,
+    radius_m: float,
+    height_m: float,
+) -> Floats:
+    """Range of each beam (rows, columns) to a target, 0 where it misses it."""
+    range_m = np.zeros((len(slope), len(azimuth)))
+    x, y, low = foot
+    for first, last in column_windows(x, y, radius_m, start_deg, cell_deg, len(azimuth)):
+        for column in range(first, last + 1):
+            near, far = chord(x, y, np.cos(azimuth[column]), np.sin(azimuth[column]), radius_m)
+            rectangle = (near, far, low, low + height_m)
+            first_row, end_row = rows_across(rectangle, slope)
+            for row in range(first_row, end_row):
+                range_m[row, column] = entry(rectangle, slope[row]) * np.sqrt(1 + slope[row] ** 2)
+    return range_m
 
 
 @compiled_part()

@@ -1,8 +1,7 @@
 """What stands between a sensor and the targets that it does not see (paper 1, Appendix B).
 
-The paper compares a target's depth with the scene's in the sensor's depth map, and takes the points
-in between for obstacles. Here each sight line is cast on its own, so the answer does not depend on
-the sensor's resolution; where it ends is the obstacle.
+Each sight line is cast on its own, so the answer does not depend on the sensor's resolution; where
+it ends is the obstacle. The paper's way, by the cells of the depth map, is in `obstacle_cells`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _LEVELS = (0.25, 0.5, 0.75, 1.0)
 """Heights on a target, as shares of its own, to which sight lines are cast."""
 _NEAR_M = 0.4
 """A hit this near to the target is the pavement or the target's own surroundings."""
-_CELL_M = 1.0
+CUBE_M = 1.0
 """Edge of the cubes in which obstacles are gathered."""
 NEAREST = 8
 """Candidates at which an uncovered target is judged."""
@@ -89,7 +88,7 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     the greatest first, ties by place.
     """
     lines = lines[lines["blocked_share"] > 0]
-    keys = [(lines[f"obstacle_{axis}"] // _CELL_M).rename(axis) for axis in "xyz"]
+    keys = [(lines[f"obstacle_{axis}"] // CUBE_M).rename(axis) for axis in "xyz"]
     groups = lines.groupby(keys, sort=True)
     table = pd.DataFrame(
         {

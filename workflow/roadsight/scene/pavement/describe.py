@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.engines import OWN, Engine
+from roadsight.base.sections.scene import Thinning
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
@@ -19,7 +20,7 @@ class GroundDescription:
 
     Parameters
     ----------
-    xyz_m : (n, 3) column centroids, local metres.
+    xyz_m : (n, 3) centroids of columns or cubes, local metres.
     intensity : (n,) median around each. variation : (n,) surface variation, NaN where unknown.
     histograms : (n, 33) FPFH.
     """
@@ -36,8 +37,9 @@ def describe_ground(
     column_m: float,
     neighbours: int,
     engine: Engine = OWN,
+    thinning: Thinning = "columns",
 ) -> GroundDescription:
-    """Thin ground points to columns and describe each.
+    """Thin ground points to columns or cubes and describe each.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ def describe_ground(
     ------
     InputError : the engine open3d cannot be loaded.
     """
-    centroid, mean, _ = column_means(xyz_m, intensity[:, None], column_m)
+    centroid, mean, _ = column_means(xyz_m, intensity[:, None], column_m, thinning)
     distance, near = nearest_neighbours(centroid, neighbours)
     if engine == "own":
         normals, variation = upward_normals(centroid, near)

@@ -13,7 +13,7 @@ from shapely.geometry import shape
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.scene import PavementOutline
+from roadsight.base.sections.scene import PavementOutline, Thinning
 from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
@@ -25,15 +25,34 @@ _ROUGHEST_M = 0.05
 """Three quarters of a pavement's points depart less than this from a local plane."""
 
 
-def pavement_settings_for(column_m: float, settings: PavementOutline) -> PavementOutline:
-    """Distances of the outline at least a few thinned columns wide."""
+def pavement_settings_for(
+    column_m: float, settings: PavementOutline, thinning: Thinning = "columns"
+) -> PavementOutline:
+    """Distances of the outline at least a few thinned columns wide; with voxels, as they are set.
+
+    Raises
+    ------
+    InputError : voxels, and a distance of clusters that is less than their size: the paper wants no
+        value below the spacing of the points (section 3.2), to which voxels were widened.
+    """
+    if thinning == "voxels":
+        if settings.cluster_distance_m < column_m:
+            raise InputError(
+                "is less than the size of the voxels, which are as wide as points are apart",
+                where="pavement.cluster_distance_m",
+                found=f"{settings.cluster_distance_m:g} m",
+                allowed=f"at least {column_m:.3g} m with pavement.thinning: voxels",
+                hint="raise it, or set pavement.thinning: columns, which raises it by itself",
+            )
+        return settings
     least = {
         "cluster_distance_m": 2.5 * column_m,
         "vote_radius_m": 3 * column_m,
         "outline_cell_m": column_m,
         "closing_m": 4 * column_m,
     }
-    raised = {name: max(getattr(settings, name), least_m) for name, least_m in least.items()}
+    asked = {name: getattr(settings, name) for name in least}
+    raised = {name: max(value, least[name]) for name, value in asked.items() if value > 0}
     return settings.model_copy(update=raised)
 
 
@@ -53,7 +72,9 @@ def outline_pavement(
         cannot be loaded.
     """
     grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], settings.outline_cell_m)
-    voted = vote(grid, xyz_m[:, 0], xyz_m[:, 1], smooth, settings.vote_radius_m)
+    voted = smooth
+    if settings.vote_radius_m > 0:
+        voted = vote(grid, xyz_m[:, 0], xyz_m[:, 1], smooth, settings.vote_radius_m)
     if not voted.any():
         raise InputError("no pavement found: no smooth ground", hint=_HINT)
     surface = xyz_m[voted]
@@ -150,7 +171,7 @@ def trace_cells(grid: Grid, cells: Bools, settings: PavementOutline) -> MultiPol
 def _polygons(grid: Grid, cells: Bools, settings: PavementOutline) -> Polygon | MultiPolygon:
     """Cells as polygons: closing, small holes filled, staircase smoothed."""
     cell = settings.outline_cell_m
-    reach = max(1, round(settings.closing_m / 2 / cell))
+    reach = max(1, round(settings.closing_m / 2 / cell)) if settings.closing_m > 0 else 0
     filled = np.pad(cells, 2 * reach)
     disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
     filled = ndimage.binary_closing(filled, disc)

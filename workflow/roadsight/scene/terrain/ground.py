@@ -1,8 +1,9 @@
 """Ground filter: a coarse surface says where the ground can be, pillars decide to the centimetre.
 
-The published filter takes the lowest point of each 0.2 m pillar as its ground (paper 1, section
-2.2). That fails where a pillar has no ground return (under vehicles, canopy, bridges, behind
-walls), where multipath lies below the road, and where the points are too far apart for 0.2 m.
+The published filter (`published_ground`, method pillars) takes the lowest point of each 0.2 m
+pillar as its ground (paper 1, section 2.2). That fails where a pillar has no ground return (under
+vehicles, canopy, bridges, behind walls), where multipath lies below the road, and where the points
+are too far apart for 0.2 m.
 
 1. Coarse surface: progressive morphological opening in the manner of SMRF (Pingel, Clarke and
    McBride 2013, doi:10.1016/j.isprsjprs.2012.12.002), with a lower slope than theirs; what that
@@ -28,7 +29,7 @@ from scipy.special import ndtri
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled
 from roadsight.base.sections.scene import GroundFilter
-from roadsight.scene.grids import Grid
+from roadsight.scene.grids import Grid, lowest_per_cell
 from roadsight.scene.terrain.cells import flat_cells, sample_three
 from roadsight.scene.terrain.coarse import CoarseGround, box_sum
 from roadsight.scene.terrain.ground_settings import (
@@ -120,6 +121,23 @@ def ground_mask(
         found = pillar_mask(x[part], y[part], rise[part], slope[part], width, base, settings)
         mask[part[own]] = found[own]
     return mask
+
+
+def published_ground(x: Floats, y: Floats, z: Floats, settings: GroundFilter) -> Bools:
+    """Which points are ground by the published rule (paper 1, section 2.2 and Table 3).
+
+    The lowest point of a pillar is its ground; points more than the threshold above it are not.
+
+    Parameters
+    ----------
+    x, y, z : (n,) local metres, all points of the pillars in question; points without a finite
+        height are not ground.
+    """
+    known = np.isfinite(z)
+    grid = Grid.around(x, y, settings.pillar_width_m)
+    lowest = lowest_per_cell(grid, x[known], y[known], z[known]).ravel()
+    rise = np.where(known, z, np.inf) - lowest[flat_cells(grid, x, y)]
+    return rise <= settings.height_threshold_m
 
 
 def above_coarse(

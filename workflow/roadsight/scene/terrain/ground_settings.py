@@ -26,13 +26,19 @@ def ground_settings_for(spacing_m: float, settings: GroundFilter) -> GroundFilte
     """Settings for a cloud: coarse cells a third of the spacing wide where that is more.
 
     Nothing else follows a number for the whole cloud; this one bounds the memory of clouds with
-    less than a point in nine square metres.
+    less than a point in nine square metres. Published pillars are as wide as the spacing where that
+    is more (paper 1, section 3.2: no value for the TMA lower than Table 2's spacing).
     """
-    return settings.model_copy(update={"coarse_cell_m": max(settings.coarse_cell_m, spacing_m / 3)})
+    update = {"coarse_cell_m": max(settings.coarse_cell_m, spacing_m / 3)}
+    if settings.method == "pillars":
+        update["pillar_width_m"] = max(settings.pillar_width_m, spacing_m)
+    return settings.model_copy(update=update)
 
 
 def reach_m(settings: GroundFilter) -> float:
     """How far away a point may matter to the label of another: the halo of a tile."""
+    if settings.method == "pillars":
+        return settings.pillar_width_m
     widest = max(pillar_reach_m(width) for width in pillar_widths_m(settings))
     return widest + 2 * settings.coarse_cell_m
 

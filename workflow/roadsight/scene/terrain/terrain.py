@@ -12,7 +12,7 @@ from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.coarse import CoarseGround, coarse_ground
-from roadsight.scene.terrain.ground import ground_mask
+from roadsight.scene.terrain.ground import ground_mask, published_ground
 from roadsight.scene.terrain.ground_settings import reach_m
 from roadsight.scene.terrain.lowest import lowest_supported
 
@@ -39,10 +39,14 @@ def label_ground(
     ------
     (n, 3) points of a tile's core and (n,) whether they are ground.
     """
-    coarse = coarse_of_tiles(tiles, bounds_m, settings)
+    robust = settings.method == "robust"
+    coarse = coarse_of_tiles(tiles, bounds_m, settings) if robust else None
     for core, points in tiles(reach_m(settings)):
         x, y, z = points.T
-        mask = ground_mask(x, y, z, coarse, settings)
+        if coarse is None:
+            mask = published_ground(x, y, z, settings)
+        else:
+            mask = ground_mask(x, y, z, coarse, settings)
         west, south, east, north = core
         own = (x >= west) & (x < east) & (y >= south) & (y < north)
         yield points[own], mask[own]

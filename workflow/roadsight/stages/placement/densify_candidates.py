@@ -38,23 +38,28 @@ def densify_candidates(
     candidates: Annotated[Sequence[Path], "of all rounds before"],
     plans: Annotated[Sequence[str], "plan=sensor,sensor"],
     radius_m: Annotated[float, Coverage],
+    closest_m: Annotated[float, Coverage] = 0.0,
     *,
     out: Path,
 ) -> None:
-    """Write the new candidates of a round: half the spacing of the round before, near gaps only."""
+    """Write the new candidates of a round: half the spacing of the round before, near gaps only.
+
+    Horizontally and vertically; either spacing "has a lower bound because LiDAR sensors cannot be
+    placed too close" (paper 1, section 2.3).
+    """
     frame = Frame.from_dict(read_json(given.frame))
     known = pd.concat([read_table(path) for path in candidates], ignore_index=True)
     gaps = _gaps_by_sensor(plans, targets, coverage)
     every = np.concatenate([np.empty((0, 2)), *gaps.values()])
     denser = known.iloc[:0]
     if len(every):
-        finer = 2**round_
         edges, pavement = read_road(given.edges, given.pavement, frame)
-        positions = positions_along(edges, pavement, given.settings.spacing_m / finer)
+        spacing_m = _halved(given.settings.spacing_m, round_, closest_m)
+        positions = positions_along(edges, pavement, spacing_m)
         positions = allowed_positions(positions, pavement, given, frame)
         positions = positions[near_gaps(positions, every, radius_m)]
         if len(positions):
-            step_m = given.settings.height_step_m / finer
+            step_m = _halved(given.settings.height_step_m, round_, closest_m)
             settings = given.settings.model_copy(update={"height_step_m": step_m})
             positions = positions.reset_index(drop=True)
             denser = candidates_at(positions, given, settings, frame, pavement)
@@ -69,6 +74,13 @@ def densify_candidates(
     counts = ", ".join(f"{sensor}: {found.sum()}" for sensor, found in near.items())
     log.info("%d new candidates (%s)", len(denser), counts or "no gap")
     write_table(out, denser)
+
+
+def _halved(spacing_m: float, times: int, least_m: float) -> float:
+    """A spacing after so many halvings, or before the first that would be less than the least."""
+    while times > 0 and spacing_m / 2 >= least_m - 1e-9:
+        spacing_m, times = spacing_m / 2, times - 1
+    return spacing_m
 
 
 def _gaps_by_sensor(

@@ -7,28 +7,48 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.engines import Engine
+from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Lidar
+from roadsight.base.sections.sensing import Obstacles as ObstacleSettings
 from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
+from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.lanes import read_traffic
+from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
-from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, Camera, Radar, load_sensors
+from roadsight.placement.sensors.rays import as_seen_from
+from roadsight.placement.sensors.sensors import (
+    AimedSensor,
+    AnySensor,
+    Camera,
+    Radar,
+    Sensor,
+    load_sensor,
+    load_sensors,
+)
 from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
 from roadsight.placement.sight.objects import kind_of_name
+from roadsight.placement.sight.obstacle_cells import (
+    cell_lines,
+    obstacles_of_target,
+    points_by_cell,
+)
 from roadsight.placement.sight.obstacles import (
     Cast,
     ObjectsAt,
@@ -71,6 +91,14 @@ class ObstacleFiles(AllowedFiles):
     lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
     objects: Annotated[Path | None, "surfels of the objects of the scene"] = None
     target_height_m: float = 0.6
+    method: Annotated[str, ObstacleSettings] = "sight_lines"
+    target_radius_m: Annotated[float, "cells: of a target, a cylinder"] = 0.25
+    depth: Annotated[Sequence[Path], "cells: depth maps of the plan's sensors"] = ()
+    cloud: Annotated[Path | None, "cells: the points of the scene"] = None
+    traffic: Annotated[Path | None, "cells: mask of points to leave out"] = None
+    tilts: Annotated[Sequence[Path], "cells: how mounts lean"] = ()
+    azimuth_stride: Annotated[int, Lidar] = 1
+    curvature: Literal["simulate", "skip"] = "skip"
 
 
 def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
@@ -85,7 +113,11 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
         reach_m = lidar.cast(origin_m, directions)
         return np.where(np.isinf(reach_m), 0.0, reach_m)
 
-    lines = _blocked(given, solution, targets, sensors, cast)
+    pairs = _hidden_pairs(given, solution, targets, sensors)
+    if given.method == "cells":
+        lines = _by_cells(given, solution, pairs, sensors)
+    else:
+        lines = pairs.join(blocked_sight_lines(pairs, given.target_height_m, cast))
     obstacles = group_obstacles(lines)
     dem = read_raster(given.dem, frame)
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
@@ -120,14 +152,13 @@ def _name_obstacles(obstacles: pd.DataFrame, objects_at: ObjectsAt) -> None:
     obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
 
 
-def _blocked(
+def _hidden_pairs(
     given: ObstacleFiles,
     solution: dict[str, Any],
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
-    cast: Cast,
 ) -> pd.DataFrame:
-    """Sight lines of chosen sensors to targets that they do not see, and where they end."""
+    """Chosen sensors and the targets in their range and view that they do not see."""
     chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
     ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
     pairs = pairs_in_range(chosen, targets, ranges)
@@ -136,8 +167,79 @@ def _blocked(
     seen = seen[seen["candidate"].isin(chosen["candidate"])]
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
-    pairs = pairs[hidden].reset_index(drop=True)
-    return pairs.join(blocked_sight_lines(pairs, given.target_height_m, cast))
+    return pairs[hidden].reset_index(drop=True)
+
+
+def _by_cells(
+    given: ObstacleFiles,
+    solution: dict[str, Any],
+    pairs: pd.DataFrame,
+    sensors: dict[str, AnySensor],
+) -> pd.DataFrame:
+    """Obstacles of pairs as published: points of a depth map's cells before their target.
+
+    Raises
+    ------
+    InputError : a chosen sensor has no cells or no depth map, or there is no cloud.
+    """
+    places = {place["candidate"]: place for place in solution["sensors"]}
+    for place in places.values():
+        if not isinstance(sensors[place["sensor"]], Sensor) or "@" in place["candidate"]:
+            raise InputError(
+                "knows the cells of spinning LiDARs as mounted only",
+                where="obstacles.method: cells",
+                found=place["sensor"],
+                hint="set obstacles.method: sight_lines",
+            )
+    if given.cloud is None:
+        raise InputError("needs the points of the scene", where="obstacles.method: cells, --cloud")
+    poses = {name: pose for path in given.candidates for name, pose in read_poses(path).items()}
+    tilts, curved = read_tilts(given.tilts), given.curvature == "simulate"
+    size_m = (given.target_radius_m, given.target_height_m)
+    scene_m = _scene_within(given, [poses[name] for name in places], sensors, places)
+    lines, met = [], set()
+    for path in given.depth:
+        maps = DepthMaps(path)
+        here = [n for n, place in places.items() if place["sensor"] == maps.info.sensor]
+        sensor = load_sensor(given.sensors, maps.info.sensor).thinned(given.azimuth_stride)
+        for candidate, depth_m in maps.only(here):
+            met.add(candidate)
+            *position_m, yaw_deg = poses[candidate]
+            own = pairs[pairs["candidate"] == candidate]
+            seen = position_m, tilts.get(candidate), curved
+            cells = points_by_cell(as_seen_from(scene_m, *seen), sensor, position_m, yaw_deg)
+            feet_m = as_seen_from(own[["x", "y", "z"]].to_numpy(np.float64), *seen)
+            view = cells, depth_m, sensor, position_m, float(yaw_deg)
+            found = [obstacles_of_target(*view, foot, size_m, maps.info.step_m) for foot in feet_m]
+            lines.append(cell_lines(own, scene_m, found))
+            hidden = sum(len(points) > 0 for points, _ in found)
+            log.info("%s: points hide %d of %d targets", candidate, hidden, len(own))
+    if len(met) < len(places):
+        raise InputError(
+            "depth maps of chosen sensors are missing",
+            where=", ".join(map(str, given.depth)) or "--depth",
+            found=f"{len(met)} of {len(places)}",
+            hint="run the workflow again",
+        )
+    return pd.concat([*lines, cell_lines(pairs.iloc[:0], scene_m, [])], ignore_index=True)
+
+
+def _scene_within(
+    given: ObstacleFiles,
+    poses: Sequence[Floats],
+    sensors: dict[str, AnySensor],
+    places: dict[str, dict[str, Any]],
+) -> Floats32:
+    """Standing points (n, 3) within the range of any of the chosen sensors."""
+    assert given.cloud is not None
+    at = np.array(poses).reshape(-1, 4)
+    reach_m = max((sensors[place["sensor"]].range_m for place in places.values()), default=0.0)
+    cloud = StandingCloud(given.cloud, given.traffic)
+    if not len(at):
+        return np.empty((0, 3), np.float32)
+    west, south = at[:, :2].min(axis=0) - reach_m
+    east, north = at[:, :2].max(axis=0) + reach_m
+    return cloud.xyz_within((west, south, east, north))
 
 
 def _in_view(

@@ -172,11 +172,8 @@ def _renderer(given: DepthFiles, sensor: Sensor, poses: Floats) -> Render:
     cloud = StandingCloud(given.cloud, given.traffic)
     xyz_m = cloud.xyz_within((west, south, east, north))
     log.info("%d points within range", len(xyz_m))
-    model = model_of_points(
-        given.model,
-        network_for(given.model, given.network),
-        **given.filling.model_dump(),
-    )
+    network = network_for(given.model, given.network)
+    model = model_of_points(given.model, network, filling=given.filling)
 
     def render(
         sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt, _: Bools

@@ -73,10 +73,10 @@ def build_dem(
             terrain.noise_m(),
             _agreement(cloud, ground, terrain.grid, heights_m),
         )
-        doubts += raised_settings(
-            {"coarse_cell_m": asked.coarse_cell_m, "dem_cell_m": asked.dem_cell_m},
-            {"coarse_cell_m": settings.coarse_cell_m, "dem_cell_m": terrain.grid.cell_size_m},
-        )
+        used = settings.model_copy(update={"dem_cell_m": terrain.grid.cell_size_m}).model_dump()
+        own = "pillar_width_m" if asked.method == "pillars" else "coarse_cell_m"
+        names = own, "dem_cell_m"
+        doubts += raised_settings({name: getattr(asked, name) for name in names}, used)
         tell(doubts, doubts_path, f"site {site}", log)
     write_raster(
         dem,

@@ -64,7 +64,7 @@ def cluster_fpfh(
         )
     if np.isfinite(model.tone_range).any():
         log.info("intensity forms no two groups: it takes only its outliers from smooth ground")
-    about = {"voxel_size_m": size_m, "intensity_used": use}
+    about = {"voxel_size_m": size_m, "thinning": settings.thinning, "intensity_used": use}
     log.info("%.1f %% of %d columns are smooth", 100 * columns["smooth"].mean(), len(columns))
     write_table(out, columns, about)
 
@@ -77,7 +77,8 @@ def _described_tiles(
     mask = read_table(ground_path)["ground"].to_numpy()
     tiles = _ground_tiles(cloud, mask, _HALO_COLUMNS * size_m)
     for number, (core, xyz, intensity) in enumerate(tiles, start=1):
-        ground = describe_ground(xyz, intensity, size_m, settings.neighbours, settings.fpfh_engine)
+        ways = settings.neighbours, settings.fpfh_engine, settings.thinning
+        ground = describe_ground(xyz, intensity, size_m, *ways)
         west, south, east, north = core
         # A column belongs to the tile that holds its grid cell's centre.
         x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))

@@ -277,8 +277,9 @@ def _published(way: Way) -> tuple[MultiPolygon, float]:
     if not way.clusters:
         raise InputError("lacks the classes of the ground", where="--clusters")
     columns = read_table(way.clusters)
-    column_m = float(read_about(way.clusters)["voxel_size_m"])
-    settings = pavement_settings_for(column_m, way.outline)
+    about = read_about(way.clusters)
+    column_m = float(about["voxel_size_m"])
+    settings = pavement_settings_for(column_m, way.outline, about["thinning"])
     xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
     smooth = columns["smooth"].to_numpy()
     return outline_pavement(xyz, smooth, settings, way.cluster_engine), column_m
