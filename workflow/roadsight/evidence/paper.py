@@ -102,7 +102,8 @@ def runs(size: Size) -> dict[str, Run]:
     found: dict[str, Run] = {}
     for site in PLACEMENT_SITES:
         for way, plans in (("published", _table5(PLANS)), ("default", PLANS)):
-            targets = ("scene/pavement_scores.json", *map(_solution, plans))
+            scene = ("scene/pavement_scores.json", "placement/edges.gpkg")
+            targets = (*scene, *map(_solution, plans))
             found[f"{site}-{way}"] = Run(site, way == "published", fewer, plans, targets)
     plans = _table5(NETWORK_PLANS)
     for way in ("preliminary", "hybrid", *NETWORKS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 import shutil
 import sys
@@ -15,13 +16,18 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+import shapely
 
 from roadsight.config.load import load_config, load_sites, merged
+from roadsight.evidence.site_facts import site_facts
 from roadsight.evidence.tradeoffs import stage_costs
 from roadsight.evidence.variants import JobRecord, Variant
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.depth_maps import NOT_CAST_M, DepthMaps
 from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer
 from roadsight.stages.command import Command
 
 log = logging.getLogger("measure_paper")
@@ -58,7 +64,8 @@ def measure_paper(
     }
     folder = variant.result("")
     if "placement" in resolved.site.jobs:
-        content |= _placement(folder, records, plans)
+        lane_width_m = resolved.settings.conditions.lane_width_m
+        content |= _placement(folder, records, plans, lane_width_m)
     else:
         content |= _poles(folder)
     write_json(out, content)
@@ -70,7 +77,7 @@ def _placement(folder: Path, records: Sequence[JobRecord], plans: Sequence[str])
     scores = folder / "scene/pavement_scores.json"
     maps = sorted((folder / "placement/round-0/depth").glob("*/0.parquet"))
     return {
-        "facts": _facts(folder),
+        "facts": _facts(folder, lane_width_m),
         "pavement": read_json(scores) if scores.is_file() else None,
         "plans": {plan: _plan(folder / f"placement/{plan}/solution.json") for plan in plans},
         "seconds_per_candidate": _seconds_per_candidate(folder, records),
@@ -78,9 +85,18 @@ def _placement(folder: Path, records: Sequence[JobRecord], plans: Sequence[str])
     }
 
 
-def _facts(folder: Path) -> dict[str, Any]:
-    profile = read_json(folder / "scene/profile.json")
-    return {key: profile.get(key) for key in ("points", "spacing_m")}
+def _facts(folder: Path, lane_width_m: float) -> dict[str, float | None]:
+    """The site as Table 2 of the placement study describes its own."""
+    frame = Frame.from_dict(read_json(folder / "scene/frame.json"))
+    edges = read_layer(folder / "placement/edges.gpkg", "edges", frame).geometry
+    pavement = read_layer(folder / "scene/pavement.gpkg", "pavement", frame).geometry
+    facts = site_facts(
+        stack_xyz(CloudTiles(folder / "scene/cloud.parquet").read(("x", "y", "z"))),
+        list(edges),
+        shapely.union_all(pavement.to_numpy()),
+        lane_width_m,
+    )._asdict()
+    return {key: value if math.isfinite(value) else None for key, value in facts.items()}
 
 
 def _plan(path: Path) -> dict[str, Any]:
