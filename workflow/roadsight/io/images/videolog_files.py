@@ -38,9 +38,9 @@ def files_by_shard(
 
     Parameters
     ----------
-    table : the videolog, of which every ``every``-th image is used. folders : where images, or what was
-        made from them, lie under the images' names with any suffix; a single file belongs to every
-        shard.
+    table : the videolog, of which every ``every``-th image is used. folders : where images, or what
+        was made from them, lie under the images' names with any suffix; a single file belongs to
+        every shard.
 
     Returns
     -------

@@ -50,9 +50,7 @@ def render_videolog(
         principal_point_px=scene.principal_point_px,
     )
     taken = [
-        (shot, number)
-        for number, drive in enumerate(drives)
-        for shot in shots(site, drive, seed)
+        (shot, number) for number, drive in enumerate(drives) for shot in shots(site, drive, seed)
     ]
     own = shard.dealt(shot.name() for shot, _ in taken)
     wanted = [
