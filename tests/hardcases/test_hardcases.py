@@ -6,6 +6,7 @@ import csv
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from roadsight.evidence.hardcases.case import CaseResult, hard_case, measure
@@ -53,7 +54,18 @@ SHOWN_OR_GENERATED = ("audit_", "generate_", "truth_", "write_")
 """How names of stages begin that compare, generate or show results."""
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+OPEN = {
+    "scans_10_cm_apart",
+    "barrier_of_30_points_per_m2",
+    "barrier_of_25_points_per_m2",
+    "barrier_of_20_points_per_m2",
+    "costs_of_a_billionth",
+    "costs_over_20_orders",
+}
+"""Cases whose bound ours does not hold yet: mended ones leave the list, none joins it unseen."""
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if not c.known], ids=lambda case: case.name)
 def test_ours_holds_the_bound_where_the_naive_way_does_not(case):
     result = measure(case, seed=1)
     shown = f"naive {result.naive_error:g}, ours {result.our_error:g}, bound {case.bound:g}"
@@ -61,11 +73,22 @@ def test_ours_holds_the_bound_where_the_naive_way_does_not(case):
     assert result.naive_error > case.bound, f"not shown to be hard: {shown}"
 
 
+@pytest.mark.parametrize("case", [c for c in CASES if c.known], ids=lambda case: case.name)
+def test_what_is_known_to_fail_does(case):
+    """Where ours holds the bound by now, take the case's `known` and its name in OPEN away."""
+    result = measure(case, seed=1)
+    assert min(result.our_error, result.naive_error) > case.bound
+
+
+def test_open_cases_are_these():
+    assert {case.name for case in CASES if case.known} == OPEN
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_the_verdict_does_not_hang_on_the_seed(seed):
-    failed = [case.name for case in CASES if not measure(case, seed).passed]
-    assert failed == []
+    failed = {case.name for case in CASES if not measure(case, seed).passed}
+    assert failed == OPEN
 
 
 def test_every_stage_that_computes_has_a_case(project):
@@ -80,7 +103,7 @@ def test_every_stage_that_computes_has_a_case(project):
 
 
 def test_the_catalogue_is_whole():
-    assert len(CASES) >= 45
+    assert len(CASES) >= 110
     assert len({case.name for case in CASES}) == len(CASES)
     for case in CASES:
         assert case.bound > 0 and case.unit
@@ -93,14 +116,26 @@ def test_a_case_gives_the_same_numbers_again():
     assert first == [measure(case, 5) for case in reversed(cases)][::-1]
 
 
-def test_errors_that_are_no_sizes_are_refused():
+def measured(naive, ours):
     @hard_case("build_dem", bound=1.0, unit="m")
-    def broken(rng):
+    def made_up(rng):
         """Nothing."""
-        return float("nan"), 0.0
+        return naive, ours
 
-    with pytest.raises(ValueError, match="broken"):
-        measure(broken, 1)
+    return measure(made_up, 1)
+
+
+def test_errors_that_are_no_sizes_are_refused():
+    with pytest.raises(ValueError, match="made_up"):
+        measured(-1.0, 0.0)
+
+
+@pytest.mark.parametrize("none", [np.nan, np.inf])
+def test_an_answer_that_is_no_number_is_as_wrong_as_can_be(none):
+    """It once scored 0, or ended the run."""
+    assert measured(none, 0.5).passed
+    assert measured(none, 0.5).naive_error == np.inf
+    assert not measured(2.0, none).passed
 
 
 @pytest.mark.parametrize(
@@ -120,6 +155,7 @@ def test_table_and_page(tmp_path, project, monkeypatch):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
         "case", "stage", "hazard", "naive_error", "our_error", "bound", "unit", "passed",
+        "known",
     ]  # fmt: skip
     assert [row["case"] for row in rows] == [case.name for case in few]
     assert all(row["passed"] == "true" for row in rows)
@@ -134,6 +170,18 @@ def test_a_failed_case_is_shown_as_such(project):
     html = render_hardcases([failed], assets, "1")
     assert "chip warn" in html and "chip good" not in html and "0 of 1 cases" in html
     assert case_table([failed])["passed"].tolist() == ["false"]
+
+
+def test_a_known_failure_says_why(project):
+    assets = read_assets(ASSETS)
+    known = replace(CASES[0], known="walls <leak>")
+    failed = CaseResult(known, float("inf"), 7.5)
+    html = render_hardcases([failed], assets, "1")
+    assert ">open</span>" in html and "Open: walls &lt;leak&gt;." in html and "0 of 1 cases" in html
+    table = case_table([failed])
+    assert table[["naive_error", "passed", "known"]].iloc[0].tolist() == [
+        "inf", "false", "walls <leak>",
+    ]  # fmt: skip
 
 
 def test_errors_stay_within_the_picture():

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import deal
 from roadsight.geometry.cameras import (
     Intrinsics,
     azimuth_deg,
@@ -125,7 +125,8 @@ class PolesSite(ReportSite):
         write_table(self.path("poles", "frames.parquet"), self.frames)
 
     def _write_shards(self, kind, table):
-        own = np.array([shard_of(name, SHARDS) for name in table["image"]], int)
+        dealt = deal(self.frames["image"], SHARDS)
+        own = np.array([dealt[name] for name in table["image"]], int)
         for number, path in enumerate(self.shards(kind, "parquet")):
             write_table(path, table[own == number])
 
@@ -223,7 +224,8 @@ class PolesSite(ReportSite):
             for kind in ("masks", "depth")
         )
         for _, camera in self.cameras.iterrows():
-            name, shard = camera["image"], shard_of(camera["image"], SHARDS)
+            name = camera["image"]
+            shard = deal(self.frames["image"], SHARDS)[name]
             uv, depth, seen = self._pixels(camera, self.edges)
             found = uv[seen & (depth > 4) & (depth < 40)] + self.rng.normal(0, 1.0, 2)
             if camera["accepted"]:

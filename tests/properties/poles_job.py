@@ -163,9 +163,7 @@ class PolesJob:
 
     def run(self, lane: Lane) -> PolesJob:
         """All stages from the cloud and the videolog to the poles."""
-        self._write_cloud(lane)
-        self._write_images(lane)
-        self._scene(lane)
+        self._scene(self.write(lane))
         parts = range(self._shards)
         for part in reversed(parts):
             self._show(part)
@@ -174,6 +172,12 @@ class PolesJob:
                     frame="frame", dem="dem.tif", voxels="voxels", poles="poles",
                     layers="poles.gpkg", csv="poles.csv", geojson="poles.geojson")  # fmt: skip
         return self
+
+    def write(self, lane: Lane) -> Lane:
+        """The cloud, the videolog and what its images show."""
+        self._write_cloud(lane)
+        self._write_images(lane)
+        return lane
 
     def _all(self, name: str, parts) -> list[str]:
         return [self.path(f"{name}{part}") for part in parts]

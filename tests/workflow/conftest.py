@@ -102,7 +102,7 @@ class Checkout:
         bring_kernels(self.folder, folder)
         return Checkout(folder, self.site)
 
-    def snakemake(self, *arguments: str, timeout_s: float = 600) -> subprocess.CompletedProcess:
+    def snakemake(self, *arguments: str, timeout_s: float = 3600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
         return subprocess.run(
             self.command(*arguments),

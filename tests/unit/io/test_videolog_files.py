@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.base.shards import shard_of
-from roadsight.io.images.videolog_files import files_by_shard, posed_share
+from roadsight.base.shards import deal
+from roadsight.io.images.videolog_files import dealt_images, files_by_shard, posed_share
 from roadsight.io.records.checksums import CachedChecksums
 
 NAMES = [f"r_{n:03d}.jpg" for n in range(20)]
@@ -30,8 +30,10 @@ def videolog(tmp_path: Path) -> Path:
 def test_each_file_goes_with_the_image_of_its_row(videolog: Path) -> None:
     folders = [str(videolog / "images"), str(videolog / "masks")]
     found = files_by_shard(videolog / "videolog.csv", folders, 3)
+    dealt = deal(NAMES, 3)
+    assert dealt_images(videolog / "videolog.csv", folders[0], 3) == dealt
     for name in NAMES:
-        own = found[shard_of(name, 3)]
+        own = found[dealt[name]]
         for file in (
             videolog / "images" / name,
             videolog / "images" / name.replace("r_", "l_"),
@@ -39,6 +41,14 @@ def test_each_file_goes_with_the_image_of_its_row(videolog: Path) -> None:
         ):
             assert file in own
     assert sum(map(len, found)) == 3 * len(NAMES)
+
+
+def test_images_that_are_not_used_are_not_dealt(videolog: Path) -> None:
+    table, images = videolog / "videolog.csv", videolog / "images"
+    used = NAMES[::3]
+    assert dealt_images(table, str(images), 3, every=3) == deal(used, 3)
+    found = files_by_shard(table, [str(videolog / "masks")], 3, every=3)
+    assert sum(map(len, found)) == len(used)
 
 
 def test_archives_belong_to_every_shard(videolog: Path) -> None:

@@ -1,7 +1,7 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
-from roadsight.io.images.camera_tables import corrections_of_shard
-from roadsight.io.images.videolog_files import check_corrections
+from roadsight.io.images.camera_tables import corrections_of, posed_images
+from roadsight.io.images.videolog_files import check_corrections, dealt_images
 
 
 def aligns(wildcards):
@@ -139,20 +139,28 @@ def shard_corrections(wildcards):
     path = resolved.beside(resolved.site.poles.corrections)
     if path is None:
         return []
-    clearly(corrections_checked, wildcards.site, path)
-    shards = resolved.settings.shards
-    return clearly(corrections_of_shard, path, int(wildcards.shard), shards)
+    dealt = clearly(images_by_shard, wildcards.site, path)
+    return clearly(corrections_of, path, dealt[int(wildcards.shard)])
 
 
 @lru_cache(maxsize=None)
-def corrections_checked(site, path):
-    """Refuse corrections of which none is about an image."""
+def images_by_shard(site, path):
+    """Names of each shard's images; refuse corrections of which none is about an image.
+
+    Which images a sample has is not known before it is generated: all corrections are for all.
+    """
     resolved = SITES[site]
     if resolved.site.sample:
-        return
+        return [posed_images(path)] * resolved.settings.shards
     images = resolved.beside(resolved.site.poles.images)
     table = resolved.beside(resolved.site.poles.videolog) or images
     check_corrections(table, images, path)
+    settings = resolved.settings
+    dealt = dealt_images(table, images, settings.shards, settings.videolog.every)
+    return [
+        {name for name, own in dealt.items() if own == shard}
+        for shard in range(settings.shards)
+    ]
 
 
 def corrections_file(wildcards):

@@ -62,7 +62,7 @@ checkpoint profile_drive:
 rule segment_images:
     input:
         frames=rules.read_videolog.output.frames,
-        images=rendered_shard,
+        images=rendered_images,
         models=mask_models,
         decided=after_profile("side_views"),
         code=sources("segment_images"),
@@ -77,7 +77,7 @@ rule segment_images:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        images=shard_images_path,
+        images=images_path,
         images_sha256=image_digest("masks"),
         models_sha256=models_digest(mask_models),
         masks=mask_options,
@@ -93,7 +93,7 @@ rule segment_images:
 rule estimate_depth:
     input:
         frames=rules.read_videolog.output.frames,
-        images=rendered_shard,
+        images=rendered_images,
         models=depth_models,
         decided=after_profile("side_views"),
         code=sources("estimate_depth"),
@@ -108,7 +108,7 @@ rule estimate_depth:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        images=shard_images_path,
+        images=images_path,
         images_sha256=image_digest("depth"),
         models_sha256=models_digest(depth_models),
         source=depth_source,
@@ -126,7 +126,7 @@ rule estimate_depth:
 rule undistort_views:
     input:
         frames=rules.read_videolog.output.frames,
-        images=rendered_shard,
+        images=rendered_images,
         drive=rules.profile_drive.output.drive,
         maps="results/{site}/poles/{kind}/{shard}.zip",
         decided=after_profile("side_views"),
@@ -142,7 +142,7 @@ rule undistort_views:
     conda:
         ENVIRONMENT
     params:
-        images=shard_images_path,
+        images=images_path,
         lenses=given_lenses,
         views=used_views,
         shards=setting("shards"),

@@ -40,20 +40,13 @@ def rendered_images(wildcards):
     ]
 
 
-def rendered_shard(wildcards):
-    files = rendered_images(wildcards)
-    return files[int(wildcards.shard)] if files else []
-
-
-def shard_images_path(wildcards):
-    return rendered_shard(wildcards) or images_path(wildcards)
-
-
 @lru_cache(maxsize=None)
 def videolog_shards(site, folders):
     resolved = SITES[site]
     table = resolved.beside(resolved.site.poles.videolog) or folders[0]
-    return clearly(files_by_shard, table, list(folders), resolved.settings.shards)
+    settings = resolved.settings
+    every = settings.videolog.every
+    return clearly(files_by_shard, table, list(folders), settings.shards, every)
 
 
 def image_digest(*fields):

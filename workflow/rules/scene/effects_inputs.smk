@@ -140,8 +140,14 @@ def unfinished(job, site, finished):
 
 
 def awaited(effect, wildcards):
-    """The same of the profile that decides on an effect, if one does."""
+    """The same of the profile that decides on an effect, if one does.
+
+    A dry run lists what a stale profile would have: it would end at the profile otherwise.
+    """
     if mode_of(effect, wildcards) != "auto":
+        return None
+    measured = measured_files(EFFECTS[effect].job, wildcards.site)
+    if workflow.dryrun and all(map(os.path.exists, measured)):
         return None
     finished = len(checkpoints.created_output)
     return unfinished(EFFECTS[effect].job, wildcards.site, finished)

@@ -8,12 +8,10 @@ import pandas as pd
 from roadsight.base.arrays import Numbers
 from roadsight.evidence.camera_scores import camera_errors
 from roadsight.evidence.hardcases.case import Errors, hard_case
-from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, project
+from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.drift import Drift, DriftModel
-from roadsight.poles.alignment.pose import ALONG, SIZE, Spread, Start
-from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
-from roadsight.poles.alignment.solve import Fit, ImageEdges, Noise, Task, descend
-from roadsight.poles.alignment.verdict import sigmas
+from roadsight.poles.alignment.pose import SIZE, Spread
+from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.calibration.calibration import Mount, shared_mean
 from roadsight.poles.calibration.registration import register_camera
 from roadsight.poles.sightings.lidar_poles import stem_axis
@@ -33,52 +31,6 @@ def points_behind_the_camera(rng: np.random.Generator) -> Errors:
     ours, _ = project(_LENS, rotation, at, points)
     behind = points[:, 1] <= 0
     return (_LENS.contains(uv) & behind).sum(), (_LENS.contains(ours) & behind).sum()
-
-
-@hard_case("align_cameras", bound=0.01, unit="px")
-def projection_at_map_coordinates(rng: np.random.Generator) -> Errors:
-    """Place and camera in single precision at map coordinates move a near point by many pixels."""
-    origin = np.array([632_000.0, 4_123_000.0, 100.0])
-    points = rng.uniform([-5, 8, -1], [5, 60, 4], (500, 3))
-    rotation, at = cam_from_world(0.0, -1.0, 0.3), np.array([0.3, 0.2, 2.2])
-    true, _ = project(_LENS, rotation, at, points)
-    ours, _ = project(_LENS, rotation, at + origin, points + origin)
-    single = (points + origin).astype(np.float32) - (at + origin).astype(np.float32)
-    x, y, z = rotation @ single.T
-    naive = np.column_stack([_LENS.cx_px + 1600 * x / z, _LENS.cy_px + 1600 * y / z])
-    return np.abs(naive - true).max(), np.abs(ours - true).max()
-
-
-def _straight_road_task() -> Task:
-    """An image of a straight level road whose edges are known and seen without error."""
-    y = np.arange(-30.0, 260.0, 0.25)
-    points = np.concatenate(
-        [np.column_stack([np.full(len(y), x), y, np.zeros(len(y))]) for x in (-3.5, 3.5)]
-    )
-    edges = RoadEdges.from_points(points)
-    track = np.column_stack([np.full(40, 1.5), np.arange(-40, 240, 7.0)])
-    start = Start(1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1920, 1200, _LENS.cx_px, _LENS.cy_px)
-    there = edges_ahead(edges, (1.5, 0.0, 0.0), 0.0, track)
-    at, rotation = np.array([1.5, 0.0, 2.2]), cam_from_world(0.0, 0.0, 0.0)
-    seen, _ = project(_LENS, rotation, at, points)
-    side = np.where(points[:, 0] < 0, -1, 1)
-    inside = _LENS.contains(seen)
-    pixels = ImageEdges.from_pixels(seen[inside], side[inside], np.zeros(inside.sum(), bool))
-    mean = np.zeros(SIZE)
-    mean[2], mean[6] = 2.2, np.log(1600.0)
-    return Task(start, pixels, there, Noise(), mean, np.diag(1.0 / Spread().vector() ** 2))
-
-
-@hard_case("align_cameras", bound=2.0, unit="m, stated sigma along the road")
-def straight_road_tells_no_place(rng: np.random.Generator) -> Errors:
-    """On a straight road nothing tells the place along it: the normal matrix has no inverse."""
-    task = _straight_road_task()
-    fit = descend(task, task.prior_mean, 3.0)
-    try:
-        naive = np.sqrt(np.abs(np.linalg.inv(fit.normal)[ALONG, ALONG]))
-    except np.linalg.LinAlgError:
-        naive = 1e9
-    return min(float(np.nan_to_num(naive, nan=1e9)), 1e9), sigmas(fit, task)[3]
 
 
 @hard_case("calibrate_drive", bound=0.2, unit="m")
@@ -170,15 +122,6 @@ def _direct_linear_centre(uv: Numbers, xyz: Numbers) -> Numbers:
         rows += [np.concatenate([np.zeros(4), place, -v * place])]
     matrix = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 4)
     return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-
-
-@hard_case("align_cameras", bound=1e-6, unit="deg")
-def pitch_of_a_camera_that_looks_up(rng: np.random.Generator) -> Errors:
-    """The arcsine of a rotation's entry near one turns a last digit into hundredths of a degree."""
-    pitch = np.append(rng.uniform(89.0, 90.0, 200), [90.0, -90.0])
-    rotation = cam_from_world(0.0, pitch, 0.0)
-    naive = np.degrees(np.arcsin(rotation.astype(np.float32)[:, 2, 2]))
-    return np.abs(naive - pitch).max(), np.abs(attitude_deg(rotation)[1] - pitch).max()
 
 
 @hard_case("score_cameras", bound=0.5, unit="deg")

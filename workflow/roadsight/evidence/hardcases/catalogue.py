@@ -16,6 +16,7 @@ from roadsight.evidence.hardcases import (
     rays,
     scores,
     track,
+    walls,
 )
 from roadsight.evidence.hardcases.case import HardCase, cases_of
 
@@ -25,6 +26,7 @@ _MODULES = (
     normals,
     edges,
     lidar,
+    walls,
     effects,
     cover,
     raster,

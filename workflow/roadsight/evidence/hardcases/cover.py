@@ -12,7 +12,7 @@ from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.placement.sight.coverage import times_seen
 from roadsight.setcover.common.problem import CoverProblem
-from roadsight.setcover.common.result import INFEASIBLE
+from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL
 from roadsight.setcover.cover.solve import solve_cover_problem
 
 
@@ -59,31 +59,85 @@ def target_that_nobody_sees(rng: np.random.Generator) -> Errors:
     return naive, 0.0 if named else naive
 
 
-def _cheapest(matrix: Numbers, costs: Numbers, gap: float) -> float:
-    """Cost of the cover that SciPy's solver calls optimal within a relative gap."""
+def _by_scipy(matrix: Numbers, costs: Numbers, **options: float) -> Numbers:
+    """Rows (n,) bool of the cover that SciPy's solver calls optimal."""
     answer = milp(
         costs,
         integrality=np.ones(len(costs)),
         bounds=Bounds(0, 1),
         constraints=LinearConstraint(sparse.csr_matrix(matrix.T.astype(float)), lb=1),
-        options={"mip_rel_gap": gap},
+        options=options,
     )
-    return float(np.round(answer.fun))
+    return np.zeros(len(costs), bool) if answer.x is None else answer.x > 0.5
+
+
+def _ours(matrix: Numbers, costs: Numbers) -> Numbers:
+    """Rows (n,) bool of our cover, none unless it is proven."""
+    cover = solve_cover_problem(CoverProblem(matrix, costs))
+    chosen = np.zeros(len(costs), bool)
+    chosen[cover.chosen] = cover.status == OPTIMAL
+    return chosen
 
 
 @hard_case("solve_cover", bound=0.5, unit="cost above the optimum")
-def gap_of_a_tenth_of_a_percent(rng: np.random.Generator) -> Errors:
-    """A solver calls optimal what lies within its relative gap: hundreds where costs are high."""
+def gap_of_a_hundredth_of_a_percent(rng: np.random.Generator) -> Errors:
+    """SciPy calls optimal what lies within 1e-4 of its bound: hundreds of cents, in cents."""
+    own = np.random.default_rng(1)  # an instance on which the solver does stop early
+    gap = np.abs(np.linspace(0, 1, 80)[:, None] - np.linspace(0, 1, 80))
+    matrix = (gap < 0.06) & (own.random((80, 80)) < 0.7)
+    matrix = matrix[:, matrix.any(axis=0)]
+    costs = 1_000_000.0 + own.integers(0, 1000, 80)
+    best = costs[_by_scipy(matrix, costs, mip_rel_gap=0.0)].sum()
+    naive, ours = (costs[way(matrix, costs)].sum() for way in (_by_scipy, _ours))
+    return naive - best, abs(ours - best)
+
+
+def _dearer(matrix: Numbers, costs: Numbers, chosen: Numbers, best: float) -> float:
+    """How much dearer a cover is than the best, as a share of it; infinite if it is no cover."""
+    whole = matrix[chosen].any(axis=0).all()
+    return float(costs[chosen].sum() / best - 1) if whole else math.inf
+
+
+@hard_case(
+    "solve_cover",
+    bound=1e-6,
+    unit="share of the cost",
+    known="costs are compared with fixed numbers: a proof holds for costs of about 1",
+)
+def costs_of_a_billionth(rng: np.random.Generator) -> Errors:
+    """Costs in another unit, below the tolerances of a solver, make every cover optimal."""
     naive = ours = 0.0
-    for number in (1, 2):  # two instances on which the solver does stop early
-        own = np.random.default_rng(number)
-        gap = np.abs(np.linspace(0, 1, 80)[:, None] - np.linspace(0, 1, 80))
-        matrix = (gap < 0.06) & (own.random((80, 80)) < 0.7)
-        matrix = matrix[:, matrix.any(axis=0)]
-        costs = 100_000.0 + own.integers(0, 1000, 80)
-        best = _cheapest(matrix, costs, 0.0)
-        naive = max(naive, _cheapest(matrix, costs, 1e-3) - best)
-        ours = max(ours, abs(solve_cover_problem(CoverProblem(matrix, costs)).objective - best))
+    for _ in range(3):
+        matrix, costs = rng.random((60, 200)) < 0.08, np.full(60, 1e-9)
+        matrix[0, ~matrix.any(axis=0)] = True
+        best = _by_scipy(matrix, np.ones(60)).sum() * 1e-9
+        naive = max(naive, _dearer(matrix, costs, _by_scipy(matrix, costs), best))
+        ours = max(ours, _dearer(matrix, costs, _ours(matrix, costs), best))
+    return naive, ours
+
+
+@hard_case(
+    "solve_cover",
+    bound=1e-6,
+    unit="share of the cost of a road",
+    known="a road whose sensors cost 1e-10 may be solved some percent too dear beside one of 1e10",
+)
+def costs_over_20_orders(rng: np.random.Generator) -> Errors:
+    """Of five roads whose sensors cost from 1e-10 to 1e10, the cheap ones are not solved."""
+    naive = ours = 0.0
+    for _ in range(6):
+        roads = [(rng.random((11, 20)) < 0.25, rng.integers(10, 20, 11)) for _ in range(5)]
+        for matrix, _ in roads:
+            matrix[0, ~matrix.any(axis=0)] = True
+        best = [costs[_by_scipy(matrix, costs, mip_rel_gap=0.0)].sum() for matrix, costs in roads]
+        whole = sparse.block_diag([matrix for matrix, _ in roads]).toarray().astype(bool)
+        scale = np.repeat(10.0 ** np.arange(-10, 11, 5), 11)
+        costs = np.concatenate([costs for _, costs in roads]) * scale
+        off = []
+        for way in (_by_scipy, _ours):
+            parts = zip(roads, np.split(way(whole, costs), 5), best, strict=True)
+            off.append(max(_dearer(*road, chosen, least) for road, chosen, least in parts))
+        naive, ours = max(naive, off[0]), max(ours, off[1])
     return naive, ours
 
 
@@ -118,6 +172,6 @@ def order_of_equal_sensors(rng: np.random.Generator) -> Errors:
 def targets_seen_by_many(rng: np.random.Generator) -> Errors:
     """Views counted in 8 bits turn negative when more than 127 sensors see a target."""
     matrix = sparse.csr_matrix(np.ones((300, 4), np.int8))
-    naive = np.ones(300, np.int8) @ matrix
+    naive = np.ones(300, bool) @ matrix
     ours = times_seen(matrix, np.arange(300))
     return np.abs(naive.astype(int) - 300).max(), np.abs(ours - 300).max()

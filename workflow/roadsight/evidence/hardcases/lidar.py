@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
@@ -109,18 +110,6 @@ def points_that_are_no_numbers(rng: np.random.Generator) -> Errors:
     return off.max(), np.abs(ours - clean).max()
 
 
-@hard_case("render_depth_maps", bound=1e-6, unit="deg")
-def elevation_near_the_zenith(rng: np.random.Generator) -> Errors:
-    """The arcsine of height over range has no digits left near the zenith in single precision."""
-    elevation = rng.uniform(89.9, 90.0, 2000)
-    azimuth = rng.uniform(-180, 180, 2000)
-    xyz = sensor_from_spherical(azimuth, elevation, np.full(2000, 30.0))
-    single = xyz.astype(np.float32)
-    share = np.minimum(single[:, 2] / np.linalg.norm(single, axis=1), np.float32(1))
-    naive = np.degrees(np.arcsin(share))
-    return np.abs(naive - elevation).max(), np.abs(spherical_from_sensor(xyz)[1] - elevation).max()
-
-
 @hard_case("render_depth_maps", bound=0.5, unit="m")
 def grazing_road(rng: np.random.Generator) -> Errors:
     """The least range in a cell of 2 degrees is that of its nearest end, metres short on a road."""
@@ -164,15 +153,16 @@ def rays_far_from_the_origin(rng: np.random.Generator) -> Errors:
 
 
 @hard_case("build_surfels", bound=0.002, unit="m")
-def roughness_on_a_mountain(rng: np.random.Generator) -> Errors:
-    """Sums of squares in single precision lose the millimetres of a surface 4,000 m up."""
-    xyz = np.column_stack([rng.uniform(0, 0.1, (500, 2)), 4000.05 + rng.normal(0, 0.003, 500)])
-    single = xyz[:, 2].astype(np.float32)
-    variance = np.mean(single**2, dtype=np.float32) - np.mean(single, dtype=np.float32) ** 2
-    voxels = sum_moments(xyz, 0.1)
-    count, mean = voxels.moments[:, 0], voxels.moments[:, 3] / voxels.moments[:, 0]
-    own = (voxels.moments[:, 9] / count - mean**2)[np.argmax(count)]
-    true = xyz[:, 2].std()
+def roughness_at_map_coordinates(rng: np.random.Generator) -> Errors:
+    """Mean of squares less square of mean loses the millimetres of a wall at its UTM northing."""
+    frame = Frame((500_000.0, 6_543_000.0, 200.0))
+    wall = np.column_stack([rng.uniform(0, 0.1, (500, 2)), 0.05 + rng.normal(0, 0.003, 500)])
+    native = frame.to_native(wall[:, [0, 2, 1]])
+    variance = np.mean(native[:, 1] ** 2) - np.mean(native[:, 1]) ** 2
+    voxels = sum_moments(frame.to_local(native), 0.1)
+    count, mean = voxels.moments[:, 0], voxels.moments[:, 2] / voxels.moments[:, 0]
+    own = (voxels.moments[:, 7] / count - mean**2)[np.argmax(count)]
+    true = wall[:, 2].std()
     return abs(np.sqrt(abs(variance)) - true), abs(0.1 * np.sqrt(own) - true)
 
 
@@ -216,6 +206,20 @@ def sensor_above_a_target(rng: np.random.Generator) -> Errors:
     return np.count_nonzero(np.isnan(half)), np.count_nonzero(ours <= 8)
 
 
+@hard_case("build_detection_shard", bound=0.5, unit="targets lost, or seen beyond the range")
+def target_before_nothing(rng: np.random.Generator) -> Errors:
+    """Where nothing returns a depth map holds 0, and no target at maximum range is before that."""
+    sensor = _sensor(elevation_min_deg=-5, elevation_max_deg=5, channels=128, azimuth_step_deg=0.1)
+    away_m = np.append(np.arange(90.0, 97.0, 0.5), [101.0, 105.0])
+    feet = np.column_stack([away_m, np.zeros((len(away_m), 1)), np.full(len(away_m), -1.0)])
+    nothing = np.zeros(sensor.shape, np.float32)
+    true = away_m < 100.0
+    middle = (abs(sensor.elevation_deg).argmin(), abs(sensor.azimuth_deg).argmin())
+    naive = (away_m < sensor.range_m) & (away_m < nothing[middle])
+    ours = count_hits(nothing, sensor, _AT, 0.0, feet) > 8
+    return np.count_nonzero(naive != true), np.count_nonzero(ours != true)
+
+
 @hard_case("detect_poses", bound=0.5, unit="targets behind the camera that it sees")
 def targets_behind_a_camera(rng: np.random.Generator) -> Errors:
     """A pinhole shows what lies behind it upside down, as if it stood in front."""
@@ -237,8 +241,8 @@ def targets_behind_a_camera(rng: np.random.Generator) -> Errors:
 
 
 @hard_case("render_scans", bound=0.001, unit="m")
-def scans_at_map_coordinates(rng: np.random.Generator) -> Errors:
-    """A scan written in single precision comes back in steps of half a metre."""
+def scans_in_steps_of_a_centimetre(rng: np.random.Generator) -> Errors:
+    """A LAS file that laspy writes as it comes has steps of 1 cm."""
     xyz = np.round(rng.uniform(0, 80, (4000, 3)), 3)
     frame = Frame((500_000.0, 5_412_000.0, 100.0))
     native = frame.to_native(xyz)
@@ -246,7 +250,11 @@ def scans_at_map_coordinates(rng: np.random.Generator) -> Errors:
         path = Path(folder, "scan.laz")
         write_laz(path, xyz, frame)
         ours = read_laz(path).xyz
-    return np.abs(native.astype(np.float32) - native).max(), np.abs(ours - native).max()
+        cloud = laspy.create(point_format=6, file_version="1.4")
+        cloud.x, cloud.y, cloud.z = native.T
+        cloud.write(path)
+        naive = laspy.read(path).xyz
+    return np.abs(naive - native).max(), np.abs(ours - native).max()
 
 
 @hard_case("find_obstacles", bound=0.5, unit="sight lines without an answer")

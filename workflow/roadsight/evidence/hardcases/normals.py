@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from sklearn.cluster import KMeans
 
 from roadsight.base.arrays import Numbers
+from roadsight.base.sections.scene import Pavement
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
@@ -52,14 +52,31 @@ def normals_at_map_size(rng: np.random.Generator) -> Errors:
     return _tilt_deg(naive), _tilt_deg(upward_normals(xyz + _FAR, near)[0])
 
 
+def _of_two_scans(apart_m: float, rng: np.random.Generator) -> Errors:
+    """Tilts of normals at the points of two scans, and at the thinned ones."""
+    upper = np.add(_road(rng, side_m=6.0), [0.0, 0.0, apart_m])
+    xyz = np.concatenate([_road(rng, side_m=6.0), upper])
+    thin = describe_ground(xyz, np.zeros(len(xyz)), Pavement().voxel_size_m, 10).xyz_m
+    tilts = (_tilt_deg(upward_normals(p, nearest_neighbours(p, 10)[1])[0]) for p in (xyz, thin))
+    naive, ours = tilts
+    return naive, ours
+
+
 @hard_case("cluster_fpfh", bound=5.0, unit="deg")
-def normals_in_single_precision(rng: np.random.Generator) -> Errors:
-    """Single precision puts the points of a road on a grid of half a metre before any normal."""
-    xyz = _road(rng)
-    rounded = (xyz + _FAR).astype(np.float32).astype(np.float64)
-    naive = upward_normals(rounded, cKDTree(rounded).query(rounded, 11)[1][:, 1:])[0]
-    local = xyz.astype(np.float32).astype(np.float64)
-    return _tilt_deg(naive), _tilt_deg(upward_normals(local, nearest_neighbours(local, 10)[1])[0])
+def scans_2_cm_apart(rng: np.random.Generator) -> Errors:
+    """Of two scans that do not fit the ten nearest points span both, and their plane tilts."""
+    return _of_two_scans(0.02, rng)
+
+
+@hard_case(
+    "cluster_fpfh",
+    bound=5.0,
+    unit="deg",
+    known="a column of 0.1 m holds points of either scan or of both: its middle is up or down",
+)
+def scans_10_cm_apart(rng: np.random.Generator) -> Errors:
+    """Where two scans lie as far apart as their points, the plane of the ten nearest stands up."""
+    return _of_two_scans(0.1, rng)
 
 
 @hard_case("cluster_fpfh", bound=0.02, unit="share of the histogram")
@@ -136,14 +153,3 @@ def clouds_of_no_and_one_point(rng: np.random.Generator) -> Errors:
 
 def _with_ten_neighbours(xyz: Numbers) -> Numbers:
     return _textbook_normals(xyz, cKDTree(xyz).query(xyz, 11)[1][:, 1:])
-
-
-@hard_case("extract_pavement", bound=0.001, unit="share of the road lost")
-def clusters_in_single_precision(rng: np.random.Generator) -> Errors:
-    """A distance of 0.2 m means nothing where single precision has steps of half a metre."""
-    x, y = np.meshgrid(0.15 * np.arange(80), 0.15 * np.arange(60))
-    xyz = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    rounded = (xyz + _FAR).astype(np.float32).astype(np.float64)
-    naive = euclidean_clusters(rounded, 0.2)
-    ours = euclidean_clusters((xyz + _FAR) - _FAR, 0.2)
-    return np.mean(naive != 0), np.mean(ours != 0)

@@ -42,20 +42,6 @@ def points_on_voxel_faces(rng: np.random.Generator) -> Errors:
     return naive.any(axis=1).mean(), len(found ^ set(map(tuple, true.tolist()))) / len(true)
 
 
-@hard_case("rasterise_lidar", bound=0.5, unit="voxels merged by mistake")
-def voxel_numbers_of_a_corridor(rng: np.random.Generator) -> Errors:
-    """Voxel numbers of a long corridor overflow 32 bits, and far places fall into one voxel."""
-    xyz = rng.uniform(0, 1, (300_000, 3)) * [20_000, 20_000, 60]
-    grid = VoxelGrid.over(Frame((0.0, 0.0, 0.0)), 0.3048, [0, 0, 0, 20_000, 20_000, 60])
-    index = np.floor(xyz / 0.3048).astype(np.int32)
-    columns, _, layers = (np.int32(n) for n in grid.shape)
-    exact = index.astype(np.int64)
-    distinct = len(np.unique((exact[:, 1] * columns + exact[:, 0]) * 1000 + exact[:, 2]))
-    naive = (index[:, 1] * columns + index[:, 0]) * layers + index[:, 2]
-    runs = count_classes(grid, list(xyz.T), np.ones(len(xyz), np.uint8))
-    return distinct - len(np.unique(naive)), abs(distinct - len(runs.voxel))
-
-
 @hard_case("rasterise_lidar", bound=0.001, unit="share of voxels of another class")
 def votes_that_tie(rng: np.random.Generator) -> Errors:
     """Where classes tie, the first point of the file decides: another order, another map."""
@@ -119,9 +105,9 @@ def terrain_along_one_line(rng: np.random.Generator) -> Errors:
     return naive, ours
 
 
-@hard_case("build_terrain", bound=1e-9, unit="m")
+@hard_case("build_terrain", bound=0.5, unit="cells whose height has other digits")
 def sums_in_another_order(rng: np.random.Generator) -> Errors:
-    """Means summed up tile by tile differ with the tiles, and so do the triangles above them."""
+    """Sums of floating numbers differ with the tiles: two cores give other bytes than one."""
     xyz = rng.uniform(0, 50, (40_000, 3))
     road = np.zeros(len(xyz), bool)
 
@@ -129,12 +115,11 @@ def sums_in_another_order(rng: np.random.Generator) -> Errors:
         rows = np.array_split(order, parts)
         sums = add_cells([sum_cells(xyz[part], road[part], 5.0) for part in rows])
         cell = (np.floor(xyz[:, 1] / 5) * 10 + np.floor(xyz[:, 0] / 5)).astype(int)
-        single = np.zeros(100, np.float32)
-        np.add.at(single, cell[order], xyz[order, 2].astype(np.float32))
-        return single / np.bincount(cell), cell_means(sums)
+        naive = sum(np.bincount(cell[part], xyz[part, 2], 100) for part in rows)
+        return naive / np.bincount(cell), cell_means(sums)
 
     here, there = means(np.arange(len(xyz)), 1), means(rng.permutation(len(xyz)), 7)
-    return np.abs(here[0] - there[0]).max(), np.abs(here[1] - there[1]).max()
+    return np.count_nonzero(here[0] != there[0]), np.count_nonzero(here[1] != there[1])
 
 
 @hard_case("align_cameras", bound=0.01, unit="share of points judged wrongly")

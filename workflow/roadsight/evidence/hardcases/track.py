@@ -33,6 +33,18 @@ def heading_across_north(rng: np.random.Generator) -> Errors:
     return _off_deg(naive, 0.0), _off_deg(headings_deg(xy)[0], 0.0)
 
 
+@hard_case("read_videolog", bound=1.0, unit="deg, mean over the drive")
+def heading_in_a_hairpin(rng: np.random.Generator) -> Errors:
+    """The way to the next image is off by half of the turn to it: in a hairpin 10 degrees."""
+    radius_m, leg_m, step_m = 12.0, 60.0, 4.0
+    station = np.arange(0, 2 * leg_m + np.pi * radius_m, step_m)
+    turn = np.clip((station - leg_m) / radius_m, 0, np.pi)
+    straight = np.minimum(station, leg_m) - np.maximum(station - leg_m - np.pi * radius_m, 0)
+    xy = np.column_stack([radius_m * (1 - np.cos(turn)), straight + radius_m * np.sin(turn)])
+    off = [wrap_deg(part - np.degrees(turn)) for part in (_chords_deg(xy), headings_deg(xy)[0])]
+    return np.abs(off[0][:-1]).mean(), np.abs(off[1]).mean()
+
+
 @hard_case("read_videolog", bound=0.1, unit="deg")
 def last_image_of_a_route(rng: np.random.Generator) -> Errors:
     """The last image has no next one: its difference is zero and its heading north."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
-from roadsight.base.shards import shard_of
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.text_tables import read_cells
 
@@ -69,8 +68,8 @@ def posed_images(path: str | os.PathLike[str]) -> set[str]:
     return set(table[_present(table, ("image",), path)[0]].astype(str))
 
 
-def corrections_of_shard(path: str | os.PathLike[str], shard: int, shards: int) -> list[str]:
-    """Rows of a table of corrections, as texts, of the images of one shard.
+def corrections_of(path: str | os.PathLike[str], images: Collection[str]) -> list[str]:
+    """Rows of a table of corrections, as texts, of some images.
 
     Raises
     ------
@@ -78,8 +77,7 @@ def corrections_of_shard(path: str | os.PathLike[str], shard: int, shards: int) 
     """
     table = _read(path)
     names = table[_present(table, ("image",), path)[0]].astype(str)
-    own = [shard_of(name, shards) == shard for name in names]
-    return [",".join(map(str, row)) for row in table[own].to_numpy().tolist()]
+    return [",".join(map(str, row)) for row in table[names.isin(images)].to_numpy().tolist()]
 
 
 def _read(path: str | os.PathLike[str]) -> pd.DataFrame:

@@ -7,22 +7,40 @@ import os
 from pathlib import Path
 
 from roadsight.base.matches import tell_named
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import posed_images
-from roadsight.io.images.videologs import ImageSource, read_videolog_table, recorded_path
+from roadsight.io.images.videologs import (
+    ImageSource,
+    every_nth,
+    read_videolog_table,
+    recorded_path,
+)
 
 log = logging.getLogger(__name__)
 
 
+def dealt_images(
+    table: str | os.PathLike[str], images: str, shards: int, every: int = 1
+) -> dict[str, int]:
+    """Shard of each image of a videolog, of which every ``every``-th image is used.
+
+    Raises
+    ------
+    InputError : the table cannot be read.
+    """
+    return deal(every_nth(read_videolog_table(table, ImageSource(images)), every)["image"], shards)
+
+
 def files_by_shard(
-    table: str | os.PathLike[str], folders: list[str], shards: int
+    table: str | os.PathLike[str], folders: list[str], shards: int, every: int = 1
 ) -> list[list[Path]]:
     """Files that belong to the images of each shard, by the names in the videolog's table.
 
     Parameters
     ----------
-    table : the videolog. folders : where images, or what was made from them, lie under the images'
-        names with any suffix; a single file belongs to every shard.
+    table : the videolog, of which every ``every``-th image is used. folders : where images, or what
+        was made from them, lie under the images' names with any suffix; a single file belongs to
+        every shard.
 
     Returns
     -------
@@ -34,8 +52,10 @@ def files_by_shard(
     """
     source = ImageSource(folders[0])
     owner: dict[str, set[int]] = {}
-    for row in read_videolog_table(table, source).to_dict("records"):
-        shard = shard_of(row["image"], shards)
+    rows = every_nth(read_videolog_table(table, source), every)
+    dealt = deal(rows["image"], shards)
+    for row in rows.to_dict("records"):
+        shard = dealt[row["image"]]
         for name in (row["image"], row["left_image"], row["right_image"]):
             owner.setdefault(recorded_path(name).stem, set()).add(shard)
     found: list[set[Path]] = [set() for _ in range(shards)]

@@ -214,6 +214,13 @@ def read_videolog_table(path: str | os.PathLike[str], source: ImageSource) -> pd
     return table
 
 
+def every_nth(table: pd.DataFrame, every: int) -> pd.DataFrame:
+    """The first row of each route in its sequence, and every ``every``-th after it."""
+    order = table.sort_values(["route", "sequence"], kind="stable")
+    kept = order[order.groupby("route").cumcount() % every == 0].index
+    return table.loc[kept.sort_values()].reset_index(drop=True)
+
+
 def _from_csv(path: Path) -> pd.DataFrame:
     """Columns under their own names, text stripped, whatever the aliases and their case."""
     table = read_cells(path)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Literal
 
-import numpy as np
 import pandas as pd
 
 from roadsight.base.shards import Shard
@@ -43,7 +42,7 @@ def view_name(image: str, view: str = "front") -> str:
 
 def usable(frames: pd.DataFrame, shard: Shard) -> pd.DataFrame:
     """Frames of one shard that may be used, in the table's order."""
-    own = np.array([shard.has(image) for image in frames["image"]], bool)
+    own = frames["image"].isin(shard.dealt(frames["image"]))
     return frames[(frames["status"] == "ok") & own].reset_index(drop=True)
 
 

@@ -63,6 +63,7 @@ def _row(result: CaseResult) -> dict[str, Any]:
         "bound": number(case.bound),
         "unit": case.unit,
         "passed": result.passed,
+        "known": case.known,
     }
 
 

@@ -40,8 +40,8 @@ def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, 
     """Resample a natural cubic spline through points at equal steps of its arc length.
 
     The spline's parameter is the chord length; the steps are measured on the curve itself. Repeated
-    points are dropped; two points give a straight line. The last sample is at most one step from
-    the end, and the first is the first point.
+    points are dropped; two points give a straight line. A line that ends where it began is smooth
+    there too. The last sample is at most one step from the end, and the first is the first point.
 
     Parameters
     ----------
@@ -60,7 +60,10 @@ def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, 
     if len(points) < 2:
         raise InputError("an edge needs at least 2 distinct points", found=len(points))
     chord = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    curve = CubicSpline(chord, points, bc_type="natural")
+    closed = len(points) > 3 and np.hypot(*(points[-1] - points[0])) <= 1e-6
+    if closed:
+        points[-1] = points[0]
+    curve = CubicSpline(chord, points, bc_type="periodic" if closed else "natural")
     # The arc is measured on chords of 0.1 m or less, which fall short of it by next to nothing.
     fine = np.linspace(0.0, chord[-1], max(2, int(np.ceil(chord[-1] / min(0.1, spacing_m))) + 1))
     arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T)))

@@ -16,7 +16,7 @@ import pandas as pd
 
 from roadsight.base.arrays import Bytes, Floats, Ints
 from roadsight.base.sections.poles import Pictures
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import deal
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
@@ -105,7 +105,7 @@ def write_poles_page(
         found,
         withheld,
         rated,
-        _image_edges(image_edges),
+        _image_edges(image_edges, places["image"]),
         read_image,
         _depth_fit(dem, masks, depth, cameras, Frame.from_dict(about)),
         _validation(components, validation),
@@ -138,12 +138,12 @@ class _Hidden:
     """Makes unrecognisable what masks say moves; the whole image where there is no mask."""
 
     def __init__(self, frames: pd.DataFrame, masks: Sequence[Path]) -> None:
-        shards = [ImageShard(path) for path in masks]
-        self._masks: dict[str, tuple[ImageShard, str]] = {}
-        for view in views_of(frames):
-            shard = shards[shard_of(view.image, len(masks))] if masks else None
-            if shard and view.name in shard:
-                self._masks[view.path] = shard, view.name
+        shards = _by_name(masks)
+        self._masks = {
+            view.path: (shards[view.name], view.name)
+            for view in views_of(frames)
+            if view.name in shards
+        }
         self._told: set[str] = set()
 
     def __call__(self, path: str, image: Bytes) -> Bytes:
@@ -265,15 +265,21 @@ def _joined(paths: Sequence[Path]) -> pd.DataFrame:
     return pd.concat(filled or tables[:1], ignore_index=True)
 
 
-def _image_edges(paths: Sequence[Path]) -> ReadEdges:
+def _by_name(paths: Sequence[Path]) -> dict[str, ImageShard]:
+    """Shard that holds the mask or depth of each name."""
+    return {name: shard for shard in map(ImageShard, paths) for name in shard.names}
+
+
+def _image_edges(paths: Sequence[Path], images: pd.Series) -> ReadEdges:
     """Reader of an image's edges; a shard is read once."""
+    shards = deal(images, len(paths))
 
     @cache
     def shard(number: int) -> pd.DataFrame:
         return read_table(paths[number], ["image", "u", "v"])
 
     def read(image: str) -> pd.DataFrame:
-        table = shard(shard_of(image, len(paths)))
+        table = shard(shards[image])
         return table[table["image"] == image]
 
     return read
@@ -290,13 +296,12 @@ def _depth_fit(
     if not (masks and depth_paths and dem):
         return None
     ground = read_raster(dem, frame)
+    shards = [_by_name(paths) for paths in (masks, depth_paths)]
     for camera, pose in _middle_first(cameras[cameras["accepted"].astype(bool)]):
         name = view_name(str(pose["image"]))
-        number = shard_of(str(pose["image"]), len(masks))
-        shards = [ImageShard(paths[number]) for paths in (masks, depth_paths)]
-        if not all(name in shard for shard in shards):
+        if not all(name in found for found in shards):
             continue
-        mask, depth = (shard.read(name) for shard in shards)
+        mask, depth = (found[name].read(name) for found in shards)
         found = depth_fit(str(pose["image"]), camera, mask, depth, ground.sample)
         if found is not None:
             return found

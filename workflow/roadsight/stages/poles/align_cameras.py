@@ -63,8 +63,6 @@ from roadsight.stages.poles.shared.dense_inputs import (
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
-TEXTS = ("image", "reason")
-"""Columns of the table that hold texts."""
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 """One standard deviation of a pose that a person set by eye."""
 _AROUND = 3.0
@@ -103,6 +101,12 @@ CAMERA_COLUMNS = (
     "accepted",
     "reason",
 )
+_KINDS: dict[str, type] = {
+    **dict.fromkeys(("image", "reason"), str),
+    **dict.fromkeys(("accepted", "one_sided"), bool),
+    **dict.fromkeys(("width_px", "height_px", "edge_points", "landmarks"), np.int64),
+}
+"""Of columns that hold no lengths, angles or ratios."""
 
 
 def align_cameras(
@@ -122,7 +126,8 @@ def align_cameras(
         residual_px=accepted.max_residual_px, sigma_heading_deg=accepted.max_sigma_heading_deg
     )
     bounds = (accepted.bound_m, accepted.bound_deg)
-    own = [p for p in scene.places if shard.has(p.image)]
+    dealt = shard.dealt(read_table(files.frames, ["image"])["image"])
+    own = [p for p in scene.places if p.image in dealt]
     by_hand = read_corrections(corrections, files)
     method = method_of(given.method, bool(scene.lenses))
     dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
@@ -148,7 +153,7 @@ def align_cameras(
             row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
         reasons.setdefault(place.route, []).append(str(row["reason"]))
-    table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
+    table = camera_table(rows)
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
     if by_others:
@@ -160,6 +165,12 @@ def align_cameras(
         told("%s: %s", route, lost_views(stated))
     lost = {route: sum(map(bool, stated)) for route, stated in sorted(reasons.items())}
     write_table(out, table, {"method": method, "lost_views": lost})
+
+
+def camera_table(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    """Table of cameras, of the same types where a shard has none."""
+    kinds = {name: _KINDS.get(name, np.float64) for name in CAMERA_COLUMNS}
+    return pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(kinds)
 
 
 def read_corrections(path: str | None, files: SceneFiles) -> dict[str, pd.Series]:

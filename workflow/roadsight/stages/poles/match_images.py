@@ -42,11 +42,9 @@ def match_images(
     out: Path,
 ) -> None:
     """Write the pixels that show the same, of each image of the shard and the next one."""
-    pairs = [
-        (one, other)
-        for one, other in consecutive(read_table(frames, _FRAME))
-        if shard.has(_run(one))
-    ]
+    pairs = list(consecutive(read_table(frames, _FRAME)))
+    own = shard.dealt(_run(one) for one, _ in pairs)
+    pairs = [(one, other) for one, other in pairs if _run(one) in own]
     images = ImageSource(images_path)
     lenses = None
     if drive:

@@ -19,7 +19,7 @@ from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.cloud.tiles import CloudTiles
-from roadsight.io.images.videologs import ImageSource, read_videolog_table
+from roadsight.io.images.videologs import ImageSource, every_nth, read_videolog_table
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import TopRaster, read_top
 from roadsight.io.records.atomic import read_json
@@ -82,13 +82,6 @@ def read_videolog(
         frames[["latitude", "longitude"]] = np.nan
     _tell(table, frames, source)
     write_table(out, frames[COLUMNS], {"settings": settings.model_dump()})
-
-
-def every_nth(table: pd.DataFrame, every: int) -> pd.DataFrame:
-    """The first row of each route in its sequence, and every ``every``-th after it."""
-    order = table.sort_values(["route", "sequence"], kind="stable")
-    kept = order[order.groupby("route").cumcount() % every == 0].index
-    return table.loc[kept.sort_values()].reset_index(drop=True)
 
 
 def find_images(table: pd.DataFrame, source: ImageSource) -> pd.DataFrame:

@@ -19,7 +19,7 @@ from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.stages.command import Command
-from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, TEXTS
+from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, camera_table
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.stages.progress import logged
 
@@ -47,14 +47,15 @@ def use_given_cameras(
     tell_named(log, told, set(given["image"]), known, cameras)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
     sigma = GivenSigma(sigma_heading_deg, sigma_pitch_deg, sigma_place_m, sigma_place_m)
-    own = [p for p in scene.places if shard.has(p.image)]
+    dealt = shard.dealt(read_table(files.frames, ["image"])["image"])
+    own = [p for p in scene.places if p.image in dealt]
     rows, shares = [], []
     for place in logged(own, len(own), log, "images"):
         pose = poses.get(place.image)
         agrees = (np.nan, np.nan) if pose is None else _agreement(scene, place, pose)
         shares.append(agrees[1])
         rows.append({"image": place.image, **_row(scene, place, pose, sigma, agrees)})
-    table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
+    table = camera_table(rows)
     about = {"method": "given", **_judged(np.array(shares, np.float64), table)}
     write_table(out, table, about)
 

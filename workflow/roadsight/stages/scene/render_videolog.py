@@ -49,11 +49,14 @@ def render_videolog(
         side_views=scene.side_views,
         principal_point_px=scene.principal_point_px,
     )
+    taken = [
+        (shot, number) for number, drive in enumerate(drives) for shot in shots(site, drive, seed)
+    ]
+    own = shard.dealt(shot.name() for shot, _ in taken)
     wanted = [
         (shot, view, number)
-        for number, drive in enumerate(drives)
-        for shot in shots(site, drive, seed)
-        if shard.has(shot.name())
+        for shot, number in taken
+        if shot.name() in own
         for view in shot.cameras
     ]
     with ExitStack() as stack:
