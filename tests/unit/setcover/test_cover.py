@@ -203,7 +203,15 @@ def test_stored_zeros_do_not_cover_and_repeated_entries_do_once():
 
 @pytest.mark.parametrize(
     ("costs", "step"),
-    [([4.0, 6.0], 2.0), ([0.5, 0.75], 0.25), ([1.0], 1.0), ([np.pi, 1.0], 0.0), ([3e20], 0.0)],
+    [
+        ([4.0, 6.0], 2.0),
+        ([0.5, 0.75], 0.25),
+        ([1.0], 1.0),
+        ([np.pi, 1.0], 0.0),
+        ([3e20], 3e20),
+        ([1e-9, 3e-9], 1e-9),
+        ([1.0, 1e13], 0.0),
+    ],
 )
 def test_objective_step(costs, step):
     assert objective_step(np.array(costs)) == pytest.approx(step)

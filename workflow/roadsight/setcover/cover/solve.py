@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -46,32 +47,104 @@ def solve_cover_problem(
     Reductions, a linear relaxation that targets join as they are violated, greedy and local search,
     cuts and enumeration, then a search tree over the relaxation. The answer depends on the seed
     alone, also where a `WorkLimit` is reached, but not where a limit by the clock (a number of
-    seconds) is. Costs that are no multiples of a common step (up to six decimals) are proven to
-    1e-7 of the objective. With ``gap``, each part of the problem is left as soon as its cover is
-    proven to cost at most that share too much.
+    seconds) is. Neither does it depend on the unit of cost. Costs that are no multiples of a common
+    step (`objective_step`) are proven to 1e-7 of the objective. With ``gap``, each part of the
+    problem is left as soon as its cover is proven to cost at most that share too much. Parts that
+    share nothing are solved from the smallest on; what they leave of the limit goes to larger ones,
+    and what these leave to a second try of those that their share was not enough for.
     """
     start = time.process_time()
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     reduced = reduce_problem(problem)
     if len(reduced.uncoverable) or not reduced.feasible:
         return _infeasible(reduced, start)
-    rng = np.random.default_rng(seed)
-    outcomes, relaxed = [], []
-    for number, part in enumerate(reduced.parts):
-        share = deadline.part(len(reduced.parts) - number)
-        outcome, bound = _solve_part(part, rng, share, gap)
-        if outcome.best is None and not np.isfinite(outcome.bound):
-            return _infeasible(reduced, start)
-        outcomes.append(outcome)
-        relaxed.append(bound)
-    return _assemble(problem, reduced, outcomes, relaxed, start, gap)
+    parts = sorted(reduced.parts, key=lambda part: part.by_choice.nnz)
+    solved = _solve_parts(parts, np.random.default_rng(seed), deadline, gap)
+    if any(one.outcome.best is None and not np.isfinite(one.outcome.bound) for one in solved):
+        return _infeasible(reduced, start)
+    return _assemble(problem, reduced, solved, start, gap)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A part (what is left of it), its outcome, the bound of its relaxation, all in its steps.
+
+    ``short``: it had less work than it asked for.
+    """
+
+    part: Instance
+    outcome: Outcome
+    relaxed: float | None
+    short: bool
+
+    @property
+    def proven(self) -> bool:
+        """Whether nothing cheaper is left."""
+        return _proven(self.part, self.outcome.best, self.outcome.bound)
+
+
+def _solve_parts(
+    parts: list[Instance], rng: np.random.Generator, deadline: Deadline, gap: float
+) -> list[_Solved]:
+    """Parts one by one, and those that ran out of their share once more, with what is left."""
+    solved: list[_Solved] = []
+    for number, part in enumerate(parts):
+        one = _solve_share(part, rng, deadline.part(len(parts) - number), gap)
+        solved.append(one)
+        if one.outcome.best is None and not np.isfinite(one.outcome.bound):
+            return solved
+    short = [k for k, one in enumerate(solved) if one.short]
+    for number, k in enumerate(short):
+        if not deadline.passed():
+            share = deadline.part(len(short) - number)
+            again = _solve_share(solved[k].part, rng, share, gap, solved[k].outcome.best)
+            solved[k] = _better(solved[k], again)
+    return solved
+
+
+def _solve_share(
+    part: Instance,
+    rng: np.random.Generator,
+    share: Deadline,
+    gap: float,
+    known: Bools | None = None,
+) -> _Solved:
+    """One part within its share of the limit, from a cover that is known, if any."""
+    best = greedy_cover(part) if known is None else known
+    part, best = _affordable(part, best)
+    outcome, relaxed = _solve_part(part, best, rng, share, gap)
+    cost = math.inf if outcome.best is None else float(part.cost[outcome.best].sum())
+    enough = _proven(part, outcome.best, outcome.bound) or is_within(gap, cost, outcome.bound)
+    return _Solved(part, outcome, relaxed, share.passed() and not enough)
+
+
+def _affordable(part: Instance, best: Bools | None) -> tuple[Instance, Bools | None]:
+    """Without choices that cost more than a whole cover does: they would set the scale of costs."""
+    if best is None:
+        return part, best
+    dear = part.cost > part.cost[best].sum()
+    if not dear.any():
+        return part, best
+    left = part.select(~dear, np.ones(part.shape[1], bool))
+    return left.rescaled(), best[~dear]
+
+
+def _better(first: _Solved, second: _Solved) -> _Solved:
+    """Of two tries of one part the cheaper cover and the higher bound."""
+    scale = second.part.step / first.part.step
+    bound = max(first.outcome.bound / scale, second.outcome.bound)
+    nodes = first.outcome.nodes + second.outcome.nodes
+    return replace(second, outcome=Outcome(second.outcome.best, bound, nodes))
 
 
 def _solve_part(
-    instance: Instance, rng: np.random.Generator, deadline: Deadline, gap: float
+    instance: Instance,
+    best: Bools | None,
+    rng: np.random.Generator,
+    deadline: Deadline,
+    gap: float,
 ) -> tuple[Outcome, float | None]:
-    """Outcome of one instance and the bound of its relaxation, in steps."""
-    best = greedy_cover(instance)
+    """Outcome of one instance from a cover, if any, and the bound of its relaxation, in steps."""
     bound = instance.round_up(_simple_bound(instance))
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
@@ -201,27 +274,20 @@ def _infeasible(reduced: Reduced, start: float) -> Cover:
 
 
 def _assemble(
-    problem: CoverProblem,
-    reduced: Reduced,
-    outcomes: list[Outcome],
-    relaxed: list[float | None],
-    start: float,
-    gap: float,
+    problem: CoverProblem, reduced: Reduced, solved: list[_Solved], start: float, gap: float
 ) -> Cover:
     """Answer of the whole problem from those of its parts."""
-    found = all(outcome.best is not None for outcome in outcomes)
-    chosen, bound = reduced.taken, math.fsum(problem.costs[reduced.taken])
-    proven, base = found, bound
-    for part, outcome in zip(reduced.parts, outcomes, strict=True):
-        bound += outcome.bound * reduced.step
-        if outcome.best is not None:
-            chosen = np.concatenate([chosen, part.choice[outcome.best]])
-            proven &= _proven(part, outcome.best, outcome.bound)
-    chosen = np.sort(chosen) if found else np.empty(0, np.int64)
+    found = all(one.outcome.best is not None for one in solved)
+    proven = all(one.proven for one in solved)
+    base = math.fsum(problem.costs[reduced.taken])
+    bound = base + math.fsum(one.outcome.bound * one.part.step for one in solved)
+    taken = [one.part.choice[one.outcome.best] for one in solved if one.outcome.best is not None]
+    chosen = np.sort(np.concatenate([reduced.taken, *taken])) if found else np.empty(0, np.int64)
     objective = math.fsum(problem.costs[chosen]) if found else math.inf
     bound = objective if proven else min(bound, objective)
     unproven = WITHIN_GAP if is_within(gap, objective, bound) else TIME_LIMIT
-    lp = None if None in relaxed else base + reduced.step * math.fsum(b for b in relaxed if b)
+    relaxed = [math.nan if one.relaxed is None else one.part.step * one.relaxed for one in solved]
+    lp = None if np.isnan(relaxed).any() else base + math.fsum(relaxed)
     return Cover(
         OPTIMAL if proven else unproven,
         chosen.astype(np.int64),
@@ -232,5 +298,5 @@ def _assemble(
         reduced.uncoverable,
         reduced.counts,
         lp,
-        sum(outcome.nodes for outcome in outcomes),
+        sum(one.outcome.nodes for one in solved),
     )
