@@ -148,7 +148,7 @@ def least_objective(deployment):
         for choice in range(len(matrix)):
             left = _weight(count - matrix[choice], need, weights) / deployment.keep
             value = np.where(every[:, choice], np.minimum(value, left), value)
-    fine = every @ deployment.charge <= deployment.budget * (1 + 1e-9)
+    fine = every @ deployment.charge <= deployment.budget * (1 + 1e-12)
     fine &= every[:, problem.mandatory].all(axis=1) & ~every[:, problem.forbidden].any(axis=1)
     groups = [np.flatnonzero(problem.groups == g) for g in range(problem.groups.max() + 1)]
     for together in (*groups, *deployment.cliques):

@@ -11,6 +11,7 @@ from roadsight.setcover.common.problem import NEAR
 from roadsight.setcover.plans.alternatives import most_different, replacements
 from roadsight.setcover.plans.curve import coverage_curve
 from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.whole import PUBLISHED_GAP, solve_whole, verify
 from tests.fuzz.covers import least_cost, least_objective, posed, posed_deployment
 
 STEPS = {"ones", "whole"}
@@ -67,6 +68,23 @@ def check_deployment(seed):
         assert cover.objective <= best + room
 
 
+def check_whole(seed):
+    rng = np.random.default_rng([10_000, seed])
+    deployment = posed_deployment(rng)
+    best, room = least_objective(deployment)
+    cover = solve_whole(deployment, None)
+    if math.isinf(best):
+        assert cover.status == "infeasible"
+        return
+    assert cover.status in ("optimal", "within_gap")
+    near = PUBLISHED_GAP * abs(best + deployment.shift)
+    assert cover.bound <= best + room
+    assert best - room <= cover.objective <= best + room + (near if cover.gap else 0)
+    assert verify(deployment, cover, WorkLimit(60.0)).confirmed
+    own = solve_deployment(deployment).cover
+    assert verify(deployment, own, WorkLimit(60.0)).confirmed
+
+
 def check_curve(seed):
     rng = np.random.default_rng([3_000, seed])
     deployment = posed_deployment(rng, "budget")
@@ -114,7 +132,9 @@ def test_covers_are_the_best_of_all_subsets(count):
 
 
 @pytest.mark.parametrize("count", FULL_PLANS)
-@pytest.mark.parametrize("check_one", [check_deployment, check_curve, check_alternatives])
+@pytest.mark.parametrize(
+    "check_one", [check_deployment, check_whole, check_curve, check_alternatives]
+)
 def test_plans_are_the_best_of_all_subsets(check_one, count):
     each(check_one, count)
 

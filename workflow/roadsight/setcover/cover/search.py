@@ -33,11 +33,15 @@ _ENTRY_S = 4e-9
 
 @dataclass(frozen=True)
 class Outcome:
-    """Best cover of an instance (None: none found) and its proven bound, in steps."""
+    """Best cover of an instance (None: none found) and its proven bound, in steps.
+
+    ``proved_by``: "own", or "highs" where the bound is that solver's.
+    """
 
     best: Bools | None
     bound: float
     nodes: int
+    proved_by: str = "own"
 
 
 class Search(BestFirst):
@@ -89,9 +93,12 @@ class Search(BestFirst):
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
-        start = tighten(self._everything(), root.bound, root.reduced_cost, self.goal)
-        bound = self.prove(start, self.round_up(root.bound), deadline)
+        bound = self.prove(self.start(root), self.round_up(root.bound), deadline)
         return Outcome(self.best, self.cost if bound is None else bound, self.nodes)
+
+    def start(self, root: Solution) -> Node:
+        """What reduced costs leave of everything."""
+        return tighten(self._everything(), root.bound, root.reduced_cost, self.goal)
 
     def round_up(self, bound: float) -> float:
         """Bound lifted to the next possible cost, in steps."""

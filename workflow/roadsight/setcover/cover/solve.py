@@ -25,6 +25,7 @@ from roadsight.setcover.common.result import (
     relative_gap,
 )
 from roadsight.setcover.cover.core import is_small, prove_on_core
+from roadsight.setcover.cover.handover import branch_by_highs, is_for_highs
 from roadsight.setcover.cover.interior import interior_bound, is_large
 from roadsight.setcover.cover.local_search import (
     FIRST_STEPS,
@@ -34,6 +35,10 @@ from roadsight.setcover.cover.local_search import (
 )
 from roadsight.setcover.cover.long_search import LongSearch
 from roadsight.setcover.cover.search import Outcome, Search
+
+_TRIAL = 8
+"""Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
+and hard ones share what is left."""
 
 
 def solve_cover_problem(
@@ -50,8 +55,8 @@ def solve_cover_problem(
     seconds) is. Neither does it depend on the unit of cost. Costs that are no multiples of a common
     step (`objective_step`) are proven to 1e-7 of the objective. With ``gap``, each part of the
     problem is left as soon as its cover is proven to cost at most that share too much. Parts that
-    share nothing are solved from the smallest on; what they leave of the limit goes to larger ones,
-    and what these leave to a second try of those that their share was not enough for.
+    share nothing are tried for a while, the smallest first; what they leave of the limit goes to
+    those that this was not enough for.
     """
     start = time.process_time()
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
@@ -60,7 +65,7 @@ def solve_cover_problem(
         return _infeasible(reduced, start)
     parts = sorted(reduced.parts, key=lambda part: part.by_choice.nnz)
     solved = _solve_parts(parts, np.random.default_rng(seed), deadline, gap)
-    if any(one.outcome.best is None and not np.isfinite(one.outcome.bound) for one in solved):
+    if any(one.impossible for one in solved):
         return _infeasible(reduced, start)
     return _assemble(problem, reduced, solved, start, gap)
 
@@ -82,23 +87,35 @@ class _Solved:
         """Whether nothing cheaper is left."""
         return _proven(self.part, self.outcome.best, self.outcome.bound)
 
+    @property
+    def impossible(self) -> bool:
+        """Whether there is no cover."""
+        return self.outcome.best is None and not np.isfinite(self.outcome.bound)
+
 
 def _solve_parts(
     parts: list[Instance], rng: np.random.Generator, deadline: Deadline, gap: float
 ) -> list[_Solved]:
-    """Parts one by one, and those that ran out of their share once more, with what is left."""
+    """Parts one by one, all with a little work first, then what is not proven with all the rest."""
     solved: list[_Solved] = []
+    had_s = np.zeros(len(parts))
     for number, part in enumerate(parts):
-        one = _solve_share(part, rng, deadline.part(len(parts) - number), gap)
-        solved.append(one)
-        if one.outcome.best is None and not np.isfinite(one.outcome.bound):
+        share = deadline.part(_TRIAL * (len(parts) - number)) if len(parts) > 1 else deadline
+        had_s[number] = share.left_s()
+        solved.append(_solve_share(part, rng, share, gap))
+        if solved[-1].impossible:
             return solved
-    short = [k for k, one in enumerate(solved) if one.short]
-    for number, k in enumerate(short):
-        if not deadline.passed():
-            share = deadline.part(len(short) - number)
-            again = _solve_share(solved[k].part, rng, share, gap, solved[k].outcome.best)
-            solved[k] = _better(solved[k], again)
+    tried = True
+    while tried and not deadline.passed():
+        tried = False
+        short = [number for number, one in enumerate(solved) if one.short]
+        for place, number in enumerate(short):
+            share = deadline.part(len(short) - place)
+            if share.left_s() > had_s[number]:  # it begins anew, but for the cover
+                tried, had_s[number] = True, share.left_s()
+                before = solved[number]
+                again = _solve_share(before.part, rng, share, gap, before.outcome.best)
+                solved[number] = _better(before, again)
     return solved
 
 
@@ -176,6 +193,9 @@ def _cut_and_branch(
     bound = min(max(bound, instance.round_up(cut.bound)), local.cost)
     if _enough(instance, local.best, bound, gap) or deadline.passed():
         return Outcome(local.best, bound, 0)
+    node = search.start(cut)
+    if local.best is not None and is_for_highs(instance, node, local.best, cut.bound):
+        return branch_by_highs(instance, node, local.best, bound, deadline, gap)
     if is_small(local):
         local.active[search.relaxation.targets_inside()] = True
         return _prove(local, bound, rng, deadline, gap)
@@ -299,4 +319,5 @@ def _assemble(
         reduced.counts,
         lp,
         sum(one.outcome.nodes for one in solved),
+        proved_by="highs" if any(o.outcome.proved_by == "highs" for o in solved) else "own",
     )

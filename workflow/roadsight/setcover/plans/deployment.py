@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -136,6 +137,11 @@ class Deployment:
             return math.inf
         return best - self.step * (1 - 1e-6) if self.step else best - self.near(best)
 
+    def shown(self, objective: float) -> float:
+        """Covered weight of a budget, cost of choices and of what they leave for a price."""
+        counts = not self.complete and not np.asarray(self.cost).any()
+        return -objective if counts else objective + (0.0 if self.complete else self.shift)
+
     @cached_property
     def shift(self) -> float:
         """What counts objectives from full coverage down, so that gaps of a price are of costs."""
@@ -143,7 +149,8 @@ class Deployment:
 
     def near(self, best: float) -> float:
         """How near to ``best`` an objective without a step is proven."""
-        return max(NEAR * abs(best + self.shift), _ROUNDED * (abs(best) + self.shift))
+        rounded = _ROUNDED * (abs(best) + self.worth * self.total)
+        return max(NEAR * abs(best + self.shift), rounded, sys.float_info.min)
 
     def normalised(self) -> tuple[Deployment, float, float]:
         """The same in units of its own size, the unit of cost, and that of weight.
