@@ -140,3 +140,16 @@ def test_curve_and_alternatives(cover):
 def test_refuses(cover, capsys, options, arrays, message):
     assert cover(*options, **arrays) == 2
     assert message in capsys.readouterr().err
+
+
+def test_highs_solves_and_checks_as_we_do(cover, capsys):
+    own = cover("--verify", "10")
+    theirs = cover("--solver", "highs")
+    assert (own["solver"], own["proved_by"], theirs["solver"]) == ("own", "own", "highs")
+    assert own["verified"]["result"] == "confirmed"
+    assert own["objective"] == theirs["objective"] == theirs["bound"] == 2
+    budget = ("--budget", "1", "--keep-share", "0", "--curve", "2")
+    curves = [cover(*budget, "--solver", solver)["curve"] for solver in ("own", "highs")]
+    assert [p["covered"] for p in curves[0]] == [p["covered"] for p in curves[1]]
+    assert cover("--verify", "0") == 2
+    assert "--verify: is no time" in capsys.readouterr().err

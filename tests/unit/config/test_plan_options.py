@@ -57,6 +57,17 @@ def test_nonsense_is_one_message(options, message):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize("setting", ["solver", "verify"])
+def test_highs_and_availability_are_refused_before_any_work(tmp_path, setting):
+    own = {"often": {"title": "O", "sensors": ["OS1-64"], "availability": 0.9}}
+    path = tmp_path / "here.yaml"
+    content = {"site": "here", "sample": {}, "placement": {"own_plans": own}}
+    path.write_text(yaml.safe_dump(content))
+    config = Config(cover={setting: "highs"}).model_dump()
+    with pytest.raises(InputError, match=f"cover.{setting}: highs cannot state the availability"):
+        load_site(str(path), load_config(config))
+
+
 def test_own_plans_of_a_site_join_or_replace_those_of_the_file(tmp_path):
     own = {
         "tight": {"title": "Tight", "sensors": ["OS-64"], "areas": {"file": "a.gpkg"}},

@@ -201,9 +201,84 @@ def test_stored_zeros_do_not_cover_and_repeated_entries_do_once():
     assert cover.chosen.tolist() == [0, 1]
 
 
+def _hard(seed, choices=36, targets=120):
+    rng = np.random.default_rng(seed)
+    matrix = rng.random((choices, targets)) < 0.2
+    matrix[rng.integers(0, choices, targets), np.arange(targets)] = True
+    return matrix
+
+
+def _work(matrix):
+    limit = WorkLimit(1e6)
+    assert solve_cover_problem(CoverProblem(matrix), limit).status == "optimal"
+    return limit.spent_s()
+
+
+@pytest.mark.parametrize("easy_last", [False, True])
+def test_what_an_easy_part_leaves_of_the_limit_goes_to_a_hard_one(easy_last):
+    hard, easy = _hard(1), np.eye(40, 80) + np.eye(40, 80, 40)
+    parts = [hard, easy] if easy_last else [easy, hard]
+    problem = CoverProblem(sparse.block_diag(parts))
+    work_s = _work(hard)
+    cover = solve_cover_problem(problem, WorkLimit(1.5 * work_s))
+    assert (cover.status, len(cover.chosen)) == ("optimal", solved_size(hard) + 40)
+
+
+def test_what_a_large_easy_part_leaves_goes_back_to_a_small_hard_one():
+    hard = _hard(1)
+    # Larger than the hard part, and proven at once: pairs of choices of which either will do.
+    large = np.repeat(np.kron(np.eye(60), np.ones((2, 2))), 30, axis=1)
+    large[::2, ::60] = False
+    problem = CoverProblem(sparse.block_diag([sparse.csr_matrix(hard), sparse.csr_matrix(large)]))
+    cover = solve_cover_problem(problem, WorkLimit(1.5 * _work(hard)))
+    assert cover.status == "optimal"
+
+
+def solved_size(matrix):
+    return len(solve_cover_problem(CoverProblem(matrix)).chosen)
+
+
+@pytest.mark.parametrize("layout", [sparse.coo_matrix, sparse.csr_matrix, "csr"])
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint16"])
+def test_repeated_entries_never_wrap_to_nothing(dtype, layout):
+    times = 2 ** (8 * np.dtype(dtype).itemsize)
+    row, col = np.append(np.zeros(times, int), 1), np.append(np.zeros(times, int), 0)
+    data = np.ones(times + 1, dtype)
+    if layout == "csr":
+        start = np.array([0, times, times + 1])
+        matrix = sparse.csr_matrix((data, col, start), shape=(2, 1))
+    else:
+        matrix = sparse.coo_matrix((data, (row, col)), shape=(2, 1))
+    cover = solve_cover_problem(CoverProblem(matrix, [1.0, 5.0]))
+    assert (cover.chosen.tolist(), cover.objective) == ([0], 1.0)
+
+
+@pytest.mark.parametrize("entry", [np.nan, np.inf, -1.0])
+def test_an_entry_that_is_no_count_is_refused_also_beside_a_larger_one(entry):
+    matrix = sparse.coo_matrix(([5.0, entry], ([0, 0], [0, 0])), shape=(1, 1))
+    with pytest.raises(InputError, match="negative or not finite"):
+        CoverProblem(matrix)
+
+
+def test_costs_that_are_far_apart_are_proven_relative_to_the_objective():
+    # Choice 0 would set the scale of costs, and nobody needs it.
+    matrix = [[1, 1, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
+    cover = solve_cover_problem(CoverProblem(matrix, [1e12, 2e-9, 3e-9, 4e-9]))
+    assert (cover.status, cover.chosen.tolist()) == ("optimal", [1, 2])
+    assert cover.objective == pytest.approx(5e-9)
+
+
 @pytest.mark.parametrize(
     ("costs", "step"),
-    [([4.0, 6.0], 2.0), ([0.5, 0.75], 0.25), ([1.0], 1.0), ([np.pi, 1.0], 0.0), ([3e20], 0.0)],
+    [
+        ([4.0, 6.0], 2.0),
+        ([0.5, 0.75], 0.25),
+        ([1.0], 1.0),
+        ([np.pi, 1.0], 0.0),
+        ([3e20], 3e20),
+        ([1e-9, 3e-9], 1e-9),
+        ([1.0, 1e13], 0.0),
+    ],
 )
 def test_objective_step(costs, step):
     assert objective_step(np.array(costs)) == pytest.approx(step)

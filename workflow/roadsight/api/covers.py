@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,8 @@ from scipy import sparse
 from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.whole import solve_whole
 
 
 def cover(
@@ -26,6 +28,7 @@ def cover(
     seconds: float | None = None,
     gap: float = 0.0,
     seed: int = SEED,
+    solver: Literal["own", "highs"] = "own",
 ) -> Cover:
     """Cheapest choices that cover every target, with the bound that proves it (paper 1, Eqs. 5-7).
 
@@ -41,6 +44,7 @@ def cover(
     seconds : limit by the clock; None = until it is proven.
     gap : leave so near to the bound, as a share of the cost.
     seed : of the search. With the same seed and no limit by the clock, the cover is the same.
+    solver : "own", or "highs" for HiGHS on the whole integer program.
 
     Returns
     -------
@@ -64,4 +68,6 @@ def cover(
     if not sparse.issparse(matrix):
         matrix = sparse.csr_matrix(np.asarray(matrix))
     problem = CoverProblem(matrix, costs, groups, at_least, mandatory, forbidden)
+    if solver == "highs":
+        return solve_whole(Deployment(problem), seconds, gap)
     return solve_cover_problem(problem, seconds, seed, gap)

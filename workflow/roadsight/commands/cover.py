@@ -22,8 +22,10 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.matrices import read_matrix, read_vector
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.program import version
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.second import chosen_again
+from roadsight.setcover.plans.whole import solve_whole, verify
 
 _FIRST = 5
 """Columns that a message names of those that nothing covers."""
@@ -55,13 +57,18 @@ def run(
     )
     asked = asked_of(given, problem)
     limit, seed = given.time_limit, given.seed
-    if asked.plain:
+    if given.solver == "highs":
+        cover = solve_whole(asked.deployment, limit)
+    elif asked.plain:
         cover = solve_cover_problem(problem, limit, seed)
     else:
         cover = solve_deployment(asked.deployment, limit, seed).cover
     _check_feasible(given, cover, matrix, problem.matrix.shape[1])
     cover, second = _second(given, asked, cover)
     content = _content(asked, cover) | second
+    if given.verify is not None:
+        found = verify(asked.deployment, cover, WorkLimit(given.verify))
+        content["verified"] = found.record()
     if given.curve is not None:
         content["curve"] = curve_of(given, given.curve, asked, cover)
     if given.alternatives:
@@ -138,6 +145,9 @@ def _content(asked: Asked, cover: Cover) -> dict[str, Any]:
         "objective": asked.shown(cover.objective),
         "bound": asked.shown(cover.bound),
         "gap": cover.gap,
+        "solver": cover.solver,
+        "solver_version": version(cover.solver),
+        "proved_by": cover.proved_by,
         "chosen": cover.chosen.tolist(),
         "seconds_cpu": cover.seconds_cpu,
         "lp_bound": cover.lp_bound,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -50,6 +50,10 @@ class CoverOptions:
         "of the cheapest, choose the rows that cover most targets once more; at most so long,"
         " seconds, counted in steps of work",
     ] = None
+    solver: Annotated[Literal["own", "highs"], "highs: HiGHS on the whole integer program"] = "own"
+    verify: Annotated[
+        float | None, "let HiGHS check the bound, at most so long, seconds of counted work"
+    ] = None
     time_limit: Annotated[float | None, "seconds; default none"] = None
     seed: int = SEED
 
@@ -74,9 +78,7 @@ class Asked:
 
     def shown(self, objective: float) -> float:
         """Covered weight for a budget, cost of rows and unseen targets for a price, else cost."""
-        if self.counts:
-            return -objective
-        return objective + (0.0 if self.deployment.complete else self.deployment.worth * self.total)
+        return self.deployment.shown(objective)
 
 
 def asked_of(given: CoverOptions, problem: CoverProblem) -> Asked:
@@ -118,6 +120,8 @@ def check_additions(given: CoverOptions) -> None:
     others = given.budget is not None or given.price is not None or given.keep_share
     if second is not None and others:
         raise InputError("goes with no --budget, --price or --keep-share", where="--second")
+    if given.verify is not None and not (math.isfinite(given.verify) and given.verify > 0):
+        raise InputError("is no time", where="--verify", found=given.verify, allowed="above 0 s")
     if curve is not None and curve < 2:
         raise InputError("is too small", where="--curve", found=curve, allowed="2 points")
     if curve is not None and given.price is not None:
@@ -131,7 +135,14 @@ def curve_of(given: CoverOptions, points: int, asked: Asked, cover: Cover) -> li
     most = deployment.budget if asked.counts else math.fsum(charge[cover.chosen])
     least = max(math.fsum(charge[deployment.problem.mandatory]), float(charge.min(initial=most)))
     budgets = spread_budgets(min(least, most), most, points, objective_step(charge))
-    curve = coverage_curve(deployment, budgets, given.time_limit, given.seed, known=[cover.chosen])
+    curve = coverage_curve(
+        deployment,
+        budgets,
+        given.time_limit,
+        given.seed,
+        known=[cover.chosen],
+        solver=given.solver,
+    )
     return [
         {
             "budget": p.budget,

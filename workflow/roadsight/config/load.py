@@ -138,6 +138,7 @@ def resolve_site(content: Any, file: Path, config: Config) -> ResolvedSite:
     if config.plans:
         chosen = config.plans
         _check_plans(chosen, plans, "plans")
+    _check_solver(settings, {name: plans[name] for name in chosen})
     clouds = [str(_located(cloud, file)) for cloud in site.clouds]
     return ResolvedSite(site, settings, file, clouds, {name: plans[name] for name in chosen})
 
@@ -161,6 +162,20 @@ def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
     for name in chosen:
         if name not in plans:
             raise InputError(f"unknown plan {name!r}", where=where, allowed=", ".join(plans))
+
+
+def _check_solver(settings: Settings, plans: Mapping[str, Plan]) -> None:
+    """Refuse plans that HiGHS cannot state as one integer program."""
+    cover = settings.cover
+    asked = {"solver": cover.solver, "verify": cover.verify}
+    for name, plan in plans.items():
+        for setting, value in asked.items():
+            if value == "highs" and plan.availability is not None:
+                raise InputError(
+                    f"{value} cannot state the availability of plan {name!r} in one program",
+                    where=f"cover.{setting}",
+                    hint=f"leave cover.{setting} out, or the plan's availability",
+                )
 
 
 def merged(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,9 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.detections import write_detections
 from roadsight.io.records.tables import write_table
+from roadsight.setcover.common.program import version
 from roadsight.setcover.common.result import TIME_LIMIT, Cover
+from roadsight.setcover.plans.whole import ContradictionError
 from roadsight.stages.placement import check_coverage, solve_cover
 
 FOOT_M = 0.3048
@@ -128,6 +130,40 @@ def test_of_two_cheapest_plans_the_one_that_sees_more_again_is_taken(tmp_path):
     assert site.read("solution.json")["second"] == found
 
 
+@pytest.mark.parametrize(
+    "options", [{}, {"at_least": 1, "alternatives": True}, {"budget": {"sensors": 1}, "curve": 2},
+                {"price": 0.5}, {"keep_share": 0.4}, {"spacing_m": 2}])  # fmt: skip
+def test_highs_solves_and_checks_every_plan_as_we_do(site, options):
+    assert site.check("p=S") == 0
+    asked = ("--options", json.dumps(options)) if options else ()
+    assert site.solve("S=1", options=(*asked, "--verify", "highs")) == 0
+    own = site.read("solution.json")
+    assert own["verified"]["result"] == "confirmed"
+    assert site.solve("S=1", options=(*asked, "--solver", "highs")) == 0
+    theirs = site.read("solution.json")
+    assert (own["solver"], theirs["solver"]) == ("own", "highs")
+    assert theirs["proved_by"] == "highs"
+    assert theirs["solver_version"].startswith("HiGHS 1.")
+    for name in ("status", "objective", "bound"):
+        assert theirs[name] == own[name]
+    if options:
+        assert theirs["options"]["goal"] == own["options"]["goal"]
+
+
+def test_a_wrong_proof_is_contradicted(site, monkeypatch):
+    wrong = Cover("optimal", np.array([0, 1, 3]), 3.0, 3.0, 0.0, 0.0)
+    monkeypatch.setattr(solve_cover, "solve_cover_problem", lambda *a, **b: wrong)
+    assert site.check("p=S") == 0
+    with pytest.raises(ContradictionError, match="costs 3 and is proven to cost at least 3"):
+        site.solve("S=1", options=("--verify", "highs"))
+
+
+def test_no_time_to_verify_is_refused(site, capsys):
+    assert site.check("p=S") == 0
+    assert site.solve("S=1", options=("--verify", "highs", "--verify-time-limit-s", "0")) == 2
+    assert "raise verify_time_limit_s" in capsys.readouterr().err
+
+
 def test_no_target_at_all_is_refused(tmp_path, capsys):
     site = Site(tmp_path, {"S": SIGHT}, targets=0)
     assert site.check("s=S") == 2
@@ -149,6 +185,9 @@ def test_solution_is_the_known_optimum(site):
         "objective": 2.0,
         "bound": 2.0,
         "gap": 0.0,
+        "solver": "own",
+        "solver_version": version("own"),
+        "proved_by": "own",
         "at_least": 1,
         "targets": 6,
         "covered_targets": 6,

@@ -87,3 +87,21 @@ class Cover(Section):
     second_time_limit_s: float = Field(
         default=3.0, gt=0, description="its limit for each plan, s; counted in steps of work"
     )
+    solver: Literal["own", "highs"] = Field(
+        default="own",
+        description="own: what grew with plans like these; highs: HiGHS on the whole program",
+    )
+    verify: Literal["none", "highs"] = Field(
+        default="none", description="check the bound of each finished plan by a run of HiGHS"
+    )
+    verify_time_limit_s: float = Field(
+        default=60.0, ge=0, description="its limit for each plan, s; counted in steps of work"
+    )
+
+    @model_validator(mode="after")
+    def _time_to_verify(self) -> Cover:
+        if self.verify != "none" and not self.verify_time_limit_s:
+            raise ValueError(
+                "verify: highs takes time: raise verify_time_limit_s (0), or leave verify out"
+            )
+        return self

@@ -20,7 +20,9 @@ _NPY = "a 1-D array of numbers written by numpy.save"
 
 
 def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
-    """Sparse matrix of a SciPy ``.npz`` file, repeated entries summed, stored zeros dropped.
+    """Where a SciPy ``.npz`` file has positive entries, as a matrix of bool.
+
+    Repeated entries are not added up in the file's type, in which they may wrap to 0.
 
     Raises
     ------
@@ -32,20 +34,23 @@ def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
         if loaded.ndim != 2:
             raise ValueError(f"{loaded.ndim}-D")
         _check_size(*loaded.shape)
-        matrix = sparse.csr_matrix(loaded)
-        matrix.check_format(full_check=True)
+        if hasattr(loaded, "check_format"):
+            loaded.check_format(full_check=True)
+        entries = loaded.tocoo()
     except Exception as error:  # a damaged archive raises of every kind
         raise InputError(
             f"cannot be read as a sparse matrix ({error})", where=str(path), allowed=_NPZ
         ) from error
-    if matrix.dtype.kind not in "biuf":
-        raise InputError("is not numeric", where=str(path), found=f"type {matrix.dtype}")
-    if not np.isfinite(matrix.data).all() or (matrix.data < 0).any():
+    if entries.dtype.kind not in "biuf":
+        raise InputError("is not numeric", where=str(path), found=f"type {entries.dtype}")
+    if not np.isfinite(entries.data).all() or (entries.data < 0).any():
         raise InputError(
             "has entries that are negative or not finite", where=str(path), allowed="0 or more"
         )
+    covers = entries.data > 0
+    place = entries.row[covers], entries.col[covers]
+    matrix = sparse.csr_matrix((covers[covers], place), shape=entries.shape)
     matrix.sum_duplicates()
-    matrix.eliminate_zeros()
     return matrix
 
 

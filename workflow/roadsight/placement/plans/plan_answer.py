@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.placement.plans.plan_problem import Asked, Posed
-from roadsight.setcover.common.deadline import Deadline, Effort
+from roadsight.setcover.common.deadline import Effort
 from roadsight.setcover.common.problem import objective_step
 from roadsight.setcover.common.result import INFEASIBLE, Cover
 from roadsight.setcover.cover.solve import solve_cover_problem
@@ -21,6 +21,7 @@ from roadsight.setcover.plans.alternatives import most_different, replacements
 from roadsight.setcover.plans.curve import coverage_curve, spread_budgets
 from roadsight.setcover.plans.deploy import solve_costly_cover, solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.whole import solve_whole
 
 _LISTED = 50
 """Interchangeable positions named for each sensor; how many there are is told in any case."""
@@ -67,7 +68,7 @@ def answer(
     InputError : nothing meets what is asked, or nothing was found within the limit.
     """
     deployment = posed.deployment
-    cover = _solve(deployment, effort.limit(), seed, gap)
+    cover = _solve(deployment, effort, seed, gap)
     _check(asked, cover, effort.seconds)
     if better is not None:
         cover = better(deployment, cover)
@@ -78,7 +79,7 @@ def answer(
     record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
     record |= _targets_record(asked, posed, deployment, cover, name)
     if "curve" in asked.options:
-        record["curve"] = _curve(asked, posed, cover, effort.limit(), seed, gap)
+        record["curve"] = _curve(asked, posed, cover, effort, seed, gap)
     swaps: list[tuple[int, int]] = []
     different = np.empty(0, np.int64)
     if asked.options.get("alternatives"):
@@ -106,8 +107,11 @@ def answer(
     return Answer(_in_cost(deployment, cover), record, sensors, swaps, different)
 
 
-def _solve(deployment: Deployment, limit: Deadline, seed: int, gap: float) -> Cover:
+def _solve(deployment: Deployment, effort: Effort, seed: int, gap: float) -> Cover:
     """A plain cover by the solver for covers, all else as a deployment."""
+    limit = effort.limit()
+    if effort.solver == "highs":
+        return solve_whole(deployment, limit, gap)
     plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
     if plain and math.isinf(deployment.budget):
         equal = len(np.unique(deployment.problem.costs)) == 1
@@ -212,7 +216,7 @@ def _kept_all(asked: Asked, posed: Posed) -> Deployment:
 
 
 def _curve(
-    asked: Asked, posed: Posed, cover: Cover, limit: Deadline, seed: int, gap: float
+    asked: Asked, posed: Posed, cover: Cover, effort: Effort, seed: int, gap: float
 ) -> dict[str, Any]:
     deployment = _kept_all(asked, posed)
     charge = np.asarray(deployment.charge)
@@ -223,7 +227,9 @@ def _curve(
     budgets = spread_budgets(min(least, most), most, asked.options["curve"], step)
     full = cover.bound if deployment.complete else 0.0
     known = [cover.chosen]
-    found = coverage_curve(deployment, budgets, limit, seed, gap, known, full)
+    found = coverage_curve(
+        deployment, budgets, effort.limit(), seed, gap, known, full, effort.solver
+    )
     counted = "sensors" if asked.options.get("budget", {}).get("sensors") else "cost"
     points = [
         {

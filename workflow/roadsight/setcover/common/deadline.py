@@ -118,10 +118,14 @@ class Patience:
 
 @dataclass(frozen=True)
 class Effort:
-    """Work and patience for each search of a plan, see `WorkLimit`."""
+    """Work and patience for each search of a plan, see `WorkLimit`, and who searches.
+
+    ``solver``: "own", or "highs" for HiGHS on the whole program.
+    """
 
     seconds: float
     patience: float = 0.0
+    solver: str = "own"
 
     def limit(self) -> WorkLimit:
         """The limit of one search."""

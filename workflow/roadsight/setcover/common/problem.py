@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -14,11 +15,15 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
-_DECIMALS = 6
-"""Costs with more decimals have no common step: their cover is proven to 1e-7 of its cost."""
-_LARGEST_UNIT = 2.0**50
-"""Costs of more units than this have no step: 64-bit floats hold whole numbers up to 2**53, and
-sums of several costs must be among them."""
+_MOST_PARTS = 2**20
+"""Parts of the smallest cost that a step may be: two costs of six digits have a step."""
+_LARGEST = 2.0**40
+"""Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and
+sums of thousands of costs must be among them."""
+_WHOLE = 2.0**-48
+"""Share of a cost within which it is a whole multiple of a step: some roundings of floats."""
+NEAR = 1e-7
+"""Share of its cost to which a cover is proven where costs have no common step."""
 
 
 class CoverProblem:
@@ -31,9 +36,9 @@ class CoverProblem:
 
     Parameters
     ----------
-    matrix : (choices, targets) sparse, any numeric or bool type; positive = covers. Repeated
-        entries are summed, stored zeros dropped.
-    costs : (choices,) positive and finite; None = 1 each.
+    matrix : (choices, targets) sparse or dense, any numeric or bool type; positive = covers. Of
+        repeated entries one positive is enough, stored zeros are dropped.
+    costs : (choices,) positive and finite, in any unit; None = 1 each.
     groups : (choices,) whole numbers, at most one choice of a group is taken; negative = no group;
         None = no groups.
     at_least : how often each target is covered: one number or (targets,); 0 = not at all.
@@ -94,6 +99,8 @@ class Instance:
     group : (m,) -1 where the choice is alone in its group.
     choice : (m,) its number in the problem.
     integral : costs are whole numbers of steps.
+    step : cost of one step in the problem; where not ``integral``, a unit of the size of the least
+        that any cover costs, so that absolute tolerances do not depend on the problem's unit.
     """
 
     by_choice: sparse.csr_matrix
@@ -102,6 +109,7 @@ class Instance:
     group: Ints
     choice: Ints
     integral: bool
+    step: float = 1.0
 
     @cached_property
     def by_target(self) -> sparse.csc_matrix:
@@ -130,12 +138,29 @@ class Instance:
             choice=self.choice[choices],
         )
 
+    def least(self) -> float:
+        """Cost of the target that is dearest to cover, in steps: no cover costs less."""
+        by_target = self.by_target
+        if not by_target.nnz:
+            return 0.0
+        cheapest = np.minimum.reduceat(self.cost[by_target.indices], by_target.indptr[:-1])
+        return float((cheapest * self.need).max())
+
+    def rescaled(self) -> Instance:
+        """The same with costs in steps of their own, if they have any, else in a fitting unit."""
+        step = 1.0 if self.integral else objective_step(self.cost)
+        if step:
+            cost = np.round(self.cost / step)
+            return replace(self, cost=cost, integral=True, step=self.step * step)
+        unit = power_of_two(self.least())
+        return replace(self, cost=self.cost / unit, step=self.step * unit)
+
     def goal(self, best: float) -> float:
         """Largest bound that still allows a cover cheaper than ``best``, in steps."""
         if not np.isfinite(best):
             return np.inf
         # One step less where costs are whole; bounds may be rounded by a millionth of a step.
-        return best - 1 + 1e-6 if self.integral else best - 1e-7 * max(1.0, best)
+        return best - 1 + 1e-6 if self.integral else best * (1 - NEAR)
 
     def round_up(self, bound: float) -> float:
         """Bound lifted to the next possible objective."""
@@ -143,7 +168,9 @@ class Instance:
 
 
 def clean_matrix(matrix: Any) -> sparse.csr_matrix:
-    """CSR of bool from any sparse or dense 2-D matrix.
+    """CSR of ones from any sparse or dense 2-D matrix: where an entry is positive.
+
+    Entries of one place are looked at one by one and never added up: sums of small integers wrap.
 
     Raises
     ------
@@ -155,31 +182,44 @@ def clean_matrix(matrix: Any) -> sparse.csr_matrix:
         raise InputError("is not 2-D", where="matrix", found=f"shape {matrix.shape}")
     if matrix.dtype.kind not in "biuf":
         raise InputError("is not numeric", where="matrix", found=f"type {matrix.dtype}")
-    clean = sparse.csr_matrix(matrix, copy=True)
-    if not np.isfinite(clean.data).all() or (clean.data < 0).any():
+    entries = matrix.tocoo() if sparse.issparse(matrix) else None
+    data = matrix if entries is None else entries.data
+    if not np.isfinite(data).all() or (data < 0).any():
         raise InputError(
             "has entries that are negative or not finite", where="matrix", allowed="0 or more"
         )
+    covers = data > 0
+    place = np.nonzero(covers) if entries is None else (entries.row[covers], entries.col[covers])
+    clean = sparse.csr_matrix((np.ones(len(place[0]), bool), place), shape=matrix.shape)
     clean.sum_duplicates()
-    clean.eliminate_zeros()
-    clean.sort_indices()
     index, start = clean.indices.astype(np.int32), clean.indptr.astype(np.int32)
     return sparse.csr_matrix((np.ones(clean.nnz, np.int8), index, start), shape=clean.shape)
 
 
 def objective_step(costs: Floats) -> float:
-    """Largest number of which all costs are whole multiples, or 0 where there is none.
+    """Largest number of which all positive costs are whole multiples, or 0 where there is none.
 
-    Costs with up to six decimals have one. Costs count as whole within 1e-9 of their size.
+    A step is a whole part of the smallest cost, one millionth at least, whatever the unit.
     """
-    for decimals in range(_DECIMALS + 1):
-        scaled = costs * 10.0**decimals
-        whole = np.round(scaled)
-        if len(scaled) and scaled.max() > _LARGEST_UNIT:
-            return 0.0
-        if (np.abs(scaled - whole) <= 1e-9 * np.maximum(scaled, 1.0)).all() and (whole > 0).all():
-            return float(np.gcd.reduce(whole.astype(np.int64))) / 10.0**decimals
+    values = np.unique(costs[costs > 0])
+    parts = 1
+    while len(values):
+        scaled = values / values[0] * parts
+        if scaled[-1] > _LARGEST:
+            break
+        off = np.flatnonzero(np.abs(scaled - np.round(scaled)) > _WHOLE * scaled)
+        if not len(off):
+            return float(values[0] / parts)
+        part = Fraction(scaled[off[0]]).limit_denominator(max(_MOST_PARTS // parts, 1))
+        if part.denominator == 1:
+            break
+        parts *= part.denominator
     return 0.0
+
+
+def power_of_two(size: float) -> float:
+    """Unit of a size: the power of two at or below it, by which nothing is rounded; 1 for 0."""
+    return 2.0 ** math.floor(math.log2(size)) if size > 0 else 1.0
 
 
 def alone_to_none(group: Ints) -> Ints:
@@ -208,6 +248,8 @@ def _costs(costs: ArrayLike | None, choices: int) -> Floats:
         raise InputError(
             "is not positive and finite", where=f"costs[{bad[0]}]", found=values[bad[0]]
         )
+    if not np.isfinite(values.sum()):
+        raise InputError("add up to more than a 64-bit float holds", where="costs")
     return values
 
 

@@ -21,6 +21,7 @@ from roadsight.setcover.common.problem import (
     Instance,
     alone_to_none,
     objective_step,
+    power_of_two,
 )
 
 MAX_BITS = 2**33
@@ -35,7 +36,6 @@ class Reduced:
     ----------
     parts : instances that can be solved one by one.
     taken : choices of the problem that every remaining solution takes.
-    step : cost of one objective step; the objective is whole in it where ``parts`` are integral.
     uncoverable : targets that too few choices can cover, sorted.
     counts : numbers of choices ("rows") and targets ("columns") before and after each step.
     feasible : False where the mandatory and forced choices already contradict the groups.
@@ -43,7 +43,6 @@ class Reduced:
 
     parts: list[Instance]
     taken: Ints
-    step: float
     uncoverable: Ints
     counts: dict[str, int] = field(default_factory=dict)
     feasible: bool = True
@@ -51,18 +50,17 @@ class Reduced:
 
 def reduce_problem(problem: CoverProblem) -> Reduced:
     """Reduce a problem without changing its optimum."""
-    step = objective_step(problem.costs)
     counts = {"rows": problem.matrix.shape[0], "columns": problem.matrix.shape[1]}
     uncoverable = uncoverable_targets(problem)
     taken = np.flatnonzero(problem.mandatory)
     if len(uncoverable):
-        return Reduced([], taken, step or 1.0, uncoverable, counts)
-    instance = _first_instance(problem, step)
+        return Reduced([], taken, uncoverable, counts)
+    instance = _first_instance(problem)
     instance, forced, feasible = shrink(instance, problem.mandatory[instance.choice])
     counts |= {"rows_reduced": instance.shape[0], "columns_reduced": instance.shape[1]}
-    parts = split_components(instance) if feasible else []
+    parts = [part.rescaled() for part in split_components(instance)] if feasible else []
     counts |= {"rows_taken": len(forced), "parts": len(parts)}
-    return Reduced(parts, np.sort(forced), step or 1.0, uncoverable, counts, feasible)
+    return Reduced(parts, np.sort(forced), uncoverable, counts, feasible)
 
 
 def uncoverable_targets(problem: CoverProblem) -> Ints:
@@ -79,13 +77,15 @@ def uncoverable_targets(problem: CoverProblem) -> Ints:
     return np.flatnonzero(np.diff(seen.indptr) < problem.at_least).astype(np.int64)
 
 
-def _first_instance(problem: CoverProblem, step: float) -> Instance:
+def _first_instance(problem: CoverProblem) -> Instance:
     """Choices that may be taken and targets that ask for something."""
     targets = np.flatnonzero(problem.at_least > 0)
     choices = np.flatnonzero(~problem.forbidden)
     matrix = problem.matrix[choices][:, targets].tocsr()
     matrix.sort_indices()
-    cost = problem.costs[choices] / (step or 1.0)
+    step = objective_step(problem.costs)
+    unit = step or power_of_two(float(problem.costs.max(initial=1.0)))
+    cost = problem.costs[choices] / unit
     return Instance(
         matrix,
         np.round(cost) if step else cost,
@@ -93,6 +93,7 @@ def _first_instance(problem: CoverProblem, step: float) -> Instance:
         alone_to_none(problem.groups[choices]),
         choices.astype(np.int64),
         step > 0,
+        unit,
     )
 
 

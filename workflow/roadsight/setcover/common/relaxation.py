@@ -14,7 +14,7 @@ from roadsight.setcover.common.constraints import Constraint
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import coverage, reduced_costs
 from roadsight.setcover.common.parity_cuts import parity_cuts
-from roadsight.setcover.common.problem import Instance
+from roadsight.setcover.common.problem import Instance, power_of_two
 
 FIRST_TARGETS = 300
 """Targets to begin with, those that the fewest choices cover. Once more than so many constraints
@@ -43,6 +43,11 @@ _RUN_S = 2.5e-8
 """Work of setting a linear program up by its entries, in seconds, measured."""
 _READ_S = 3e-9
 """Work of reading the instance by its entries, in seconds, measured."""
+_DEAREST = 2.0**16
+"""Costs beyond this many steps are given to the solver in larger units: its tolerances are absolute
+and its duals of such costs would never be within them."""
+ROUNDING = 2.0**-46
+"""Share of the size of its terms by which a bound may be rounded: taken off it."""
 _TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3
 """Kinds of constraint."""
 
@@ -137,7 +142,8 @@ class Relaxation:
         self._variables = np.arange(self.choices, dtype=np.int32)
         self._highs = quiet_highs(presolve="off", simplex_strategy=1)
         self._highs.addVars(self.choices, np.zeros(self.choices), np.ones(self.choices))
-        self._highs.changeColsCost(self.choices, self._variables, instance.cost)
+        self._unit = max(1.0, power_of_two(instance.least() / _DEAREST))
+        self._highs.changeColsCost(self.choices, self._variables, instance.cost / self._unit)
         rare = np.argsort(np.diff(instance.by_target.indptr), kind="stable")
         self._add(_TARGET, np.sort(rare[:FIRST_TARGETS]))
 
@@ -156,7 +162,7 @@ class Relaxation:
     def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
         """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
         self._enter(node)
-        self._highs.setOptionValue("objective_bound", float(goal) + _TOLERANCE)
+        self._highs.setOptionValue("objective_bound", float(goal) / self._unit + _TOLERANCE)
         risen = -np.inf
         while True:
             self._run(deadline)
@@ -237,7 +243,7 @@ class Relaxation:
 
     def _read(self, node: Node) -> Solution:
         raw = self._highs.getSolution()
-        x, dual = np.array(raw.col_value), np.array(raw.row_dual)
+        x, dual = np.array(raw.col_value), self._unit * np.array(raw.row_dual)
         if len(dual) != len(self._kind) or not np.isfinite(dual).all():
             return self._stopped(0.0)
         # Duals of the right sign give a bound that holds, whatever the solver's tolerances.
@@ -247,14 +253,17 @@ class Relaxation:
         target_dual[self._number[target]] = dual[target]
         by_choice = self.instance.by_choice
         cost = reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
-        bound = float((target_dual * self.instance.need).sum())
+        bound = size = float((target_dual * self.instance.need).sum())
         others = np.flatnonzero(~target & (dual != 0))
         constraints = [self._constraint(self._kind[k], self._number[k]) for k in others]
         for one, price in zip(constraints, dual[others], strict=True):
             cost[one.index] -= price * one.value
             bound += price * one.low
-        bound += cost[node.fixed].sum()
-        bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
+            size += abs(price * one.low)
+        refunds = np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
+        bound += cost[node.fixed].sum() + refunds
+        size += np.abs(cost[node.fixed]).sum() - refunds
+        bound -= ROUNDING * size
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
         priced = tuple(
             (one, price) for one, price in zip(constraints, dual[others], strict=True) if price > 0

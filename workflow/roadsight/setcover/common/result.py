@@ -32,6 +32,7 @@ class Cover:
     reductions : numbers of choices ("rows") and targets ("columns") before and after each step.
     lp_bound : bound of the linear relaxation, in cost; None where it was not needed.
     nodes : nodes of the search tree.
+    solver, proved_by : "own" or "highs": who searched, and whose proof the bound is.
     """
 
     status: str
@@ -44,6 +45,8 @@ class Cover:
     reductions: dict[str, int] = field(default_factory=dict)
     lp_bound: float | None = None
     nodes: int = 0
+    solver: str = "own"
+    proved_by: str = "own"
 
 
 def is_within(gap: float, objective: float, bound: float) -> bool:

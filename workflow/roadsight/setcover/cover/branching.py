@@ -28,7 +28,10 @@ def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node
     """
     choices = _shared_choices(relaxation.instance, node, solution)
     if choices is None:
-        nearness = np.minimum(solution.x, 1 - solution.x) * (node.alive & ~node.fixed)
+        free, x = node.alive & ~node.fixed, solution.x
+        nearness = np.where(free, np.minimum(x, 1 - x), -1.0)
+        if nearness.max() <= 0:  # whole already: the free choice of the largest share
+            nearness = np.where(free, x, -1.0)
         return divide_by_choice(node, int(np.argmax(nearness)))
     return divide_by_choices(node, choices, relaxation.add_branch(choices))
 

@@ -160,7 +160,6 @@ class Closing:
             deadline.spend(answer.work_s)
             if answer.excluded:
                 return replace(solution, bound=min(self.local.cost, self.ceiling))
-            if answer.cover is None:
+            if answer.cover is None or not self.local.accept(answer.cover):
                 break
-            self.local.best = answer.cover
         return solution

@@ -63,7 +63,7 @@ def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcom
     core, taken, feasible = shrink(instance.select(everything, local.active), ~everything)
     if not feasible:
         return Outcome(None, np.inf, 0)
-    parts = split_components(core)
+    parts = sorted(split_components(core), key=lambda part: part.by_choice.nnz)
     chosen = np.isin(instance.choice, taken)
     bound, nodes = float(instance.cost[chosen].sum()), 0
     for number, part in enumerate(parts):

@@ -9,6 +9,7 @@ that are taken. No linear program is solved on the way.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,11 +72,12 @@ def enumerate_covers(
     ----------
     solution : of the node's relaxation, complete. most_work_s : seconds it may take, about.
     """
-    slack = goal - solution.bound + _TOLERANCE * max(1.0, abs(goal))
+    room = min(_TOLERANCE * max(1.0, abs(goal)), 0.25 if instance.integral else math.inf)
+    slack = goal - solution.bound + room
     dear = np.maximum(solution.reduced_cost, 0.0) > slack
     choices = np.flatnonzero(node.alive & ~node.fixed & ~dear)
     fixed = np.flatnonzero(node.fixed)
-    money = goal - float(instance.cost[fixed].sum()) + _TOLERANCE
+    money = goal - float(instance.cost[fixed].sum()) + room
     depths = 2 + int(np.searchsorted(np.sort(instance.cost[choices]).cumsum(), money, "right"))
     if not _is_small(instance, len(choices), depths):
         return Enumeration(False, None, 0.0)

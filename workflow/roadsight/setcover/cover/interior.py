@@ -14,7 +14,7 @@ import numpy as np
 from roadsight.base.arrays import Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import Instance
-from roadsight.setcover.common.relaxation import Solution, quiet_highs
+from roadsight.setcover.common.relaxation import ROUNDING, Solution, quiet_highs
 
 _LARGE = 40_000_000
 """Choices x targets above which interior points are used: the published sizes have up to 17
@@ -112,6 +112,7 @@ def _read(highs: highspy.Highs, instance: Instance, targets: Ints) -> Solution:
     dual = np.zeros(instance.shape[1])
     dual[targets] = np.maximum(row_dual, 0.0)
     reduced = instance.cost - instance.by_choice @ dual
-    bound = float((dual * instance.need).sum() + np.minimum(reduced, 0.0).sum())
+    worth, refunds = float(dual @ instance.need), float(np.minimum(reduced, 0.0).sum())
+    bound = worth + refunds - ROUNDING * (worth - refunds)
     complete = highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
     return Solution(bound, np.clip(share, 0.0, 1.0), reduced, dual, complete)

@@ -126,7 +126,8 @@ class LocalSearch:
         """Whether a cheap trial covers everything: then it is the best, else targets join."""
         missing = self._missing(trial)
         self._trial = trial.copy()
-        if not len(missing):
+        # Costs that the search has added up along its way are rounded: they are added anew.
+        if not len(missing) and float(self.instance.cost[trial].sum()) < self.cost:
             self.best = trial.copy()
         self.active[missing] = True
         return not len(missing)

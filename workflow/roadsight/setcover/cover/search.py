@@ -33,11 +33,15 @@ _ENTRY_S = 4e-9
 
 @dataclass(frozen=True)
 class Outcome:
-    """Best cover of an instance (None: none found) and its proven bound, in steps."""
+    """Best cover of an instance (None: none found) and its proven bound, in steps.
+
+    ``proved_by``: "own", or "highs" where the bound is that solver's.
+    """
 
     best: Bools | None
     bound: float
     nodes: int
+    proved_by: str = "own"
 
 
 class Search(BestFirst):
@@ -89,9 +93,12 @@ class Search(BestFirst):
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
-        start = tighten(self._everything(), root.bound, root.reduced_cost, self.goal)
-        bound = self.prove(start, self.round_up(root.bound), deadline)
+        bound = self.prove(self.start(root), self.round_up(root.bound), deadline)
         return Outcome(self.best, self.cost if bound is None else bound, self.nodes)
+
+    def start(self, root: Solution) -> Node:
+        """What reduced costs leave of everything."""
+        return tighten(self._everything(), root.bound, root.reduced_cost, self.goal)
 
     def round_up(self, bound: float) -> float:
         """Bound lifted to the next possible cost, in steps."""
@@ -148,6 +155,8 @@ class Search(BestFirst):
         if solution.exceeds(self.goal) or self._takes(solution):
             return solution.bound, ()
         self.relaxation.purge(solution)
+        if (node.alive == node.fixed).all():
+            return solution.bound, (node,)  # nothing is free: it is a cover or none
         return solution.bound, divide(self.relaxation, node, solution)
 
     def _everything(self) -> Node:
@@ -182,9 +191,17 @@ class Search(BestFirst):
         return all(chosen[self.relaxation.branches[k]].any() for k in path)
 
     def _takes(self, solution: Solution) -> bool:
-        """Whether a solution is a cover; it becomes the best where it costs less."""
-        whole = np.abs(solution.x - np.round(solution.x)).max() < _WHOLE
-        chosen = solution.x > 0.5
-        if whole and float(self.instance.cost[chosen].sum()) < self.cost:
+        """Whether a solution is a cover that nothing below its node is cheaper than.
+
+        It becomes the best where it costs less. Shares that are whole within the solver's
+        tolerance may cost less than the cover: the bound decides.
+        """
+        if np.abs(solution.x - np.round(solution.x)).max() >= _WHOLE:
+            return False
+        chosen, instance = solution.x > 0.5, self.instance
+        group = instance.group[chosen & (instance.group >= 0)]
+        seen = instance.by_choice.T @ chosen.astype(np.int32)
+        allowed = (seen >= instance.need).all() and len(np.unique(group)) == len(group)
+        if allowed and float(instance.cost[chosen].sum()) < self.cost:
             self.local.best = chosen
-        return bool(whole)
+        return solution.exceeds(self.goal)

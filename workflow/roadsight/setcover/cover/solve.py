@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +25,7 @@ from roadsight.setcover.common.result import (
     relative_gap,
 )
 from roadsight.setcover.cover.core import is_small, prove_on_core
+from roadsight.setcover.cover.handover import branch_by_highs, is_for_highs
 from roadsight.setcover.cover.interior import interior_bound, is_large
 from roadsight.setcover.cover.local_search import (
     FIRST_STEPS,
@@ -33,6 +35,10 @@ from roadsight.setcover.cover.local_search import (
 )
 from roadsight.setcover.cover.long_search import LongSearch
 from roadsight.setcover.cover.search import Outcome, Search
+
+_TRIAL = 8
+"""Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
+and hard ones share what is left."""
 
 
 def solve_cover_problem(
@@ -46,32 +52,116 @@ def solve_cover_problem(
     Reductions, a linear relaxation that targets join as they are violated, greedy and local search,
     cuts and enumeration, then a search tree over the relaxation. The answer depends on the seed
     alone, also where a `WorkLimit` is reached, but not where a limit by the clock (a number of
-    seconds) is. Costs that are no multiples of a common step (up to six decimals) are proven to
-    1e-7 of the objective. With ``gap``, each part of the problem is left as soon as its cover is
-    proven to cost at most that share too much.
+    seconds) is. Neither does it depend on the unit of cost. Costs that are no multiples of a common
+    step (`objective_step`) are proven to 1e-7 of the objective. With ``gap``, each part of the
+    problem is left as soon as its cover is proven to cost at most that share too much. Parts that
+    share nothing are tried for a while, the smallest first; what they leave of the limit goes to
+    those that this was not enough for.
     """
     start = time.process_time()
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     reduced = reduce_problem(problem)
     if len(reduced.uncoverable) or not reduced.feasible:
         return _infeasible(reduced, start)
-    rng = np.random.default_rng(seed)
-    outcomes, relaxed = [], []
-    for number, part in enumerate(reduced.parts):
-        share = deadline.part(len(reduced.parts) - number)
-        outcome, bound = _solve_part(part, rng, share, gap)
-        if outcome.best is None and not np.isfinite(outcome.bound):
-            return _infeasible(reduced, start)
-        outcomes.append(outcome)
-        relaxed.append(bound)
-    return _assemble(problem, reduced, outcomes, relaxed, start, gap)
+    parts = sorted(reduced.parts, key=lambda part: part.by_choice.nnz)
+    solved = _solve_parts(parts, np.random.default_rng(seed), deadline, gap)
+    if any(one.impossible for one in solved):
+        return _infeasible(reduced, start)
+    return _assemble(problem, reduced, solved, start, gap)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A part (what is left of it), its outcome, the bound of its relaxation, all in its steps.
+
+    ``short``: it had less work than it asked for.
+    """
+
+    part: Instance
+    outcome: Outcome
+    relaxed: float | None
+    short: bool
+
+    @property
+    def proven(self) -> bool:
+        """Whether nothing cheaper is left."""
+        return _proven(self.part, self.outcome.best, self.outcome.bound)
+
+    @property
+    def impossible(self) -> bool:
+        """Whether there is no cover."""
+        return self.outcome.best is None and not np.isfinite(self.outcome.bound)
+
+
+def _solve_parts(
+    parts: list[Instance], rng: np.random.Generator, deadline: Deadline, gap: float
+) -> list[_Solved]:
+    """Parts one by one, all with a little work first, then what is not proven with all the rest."""
+    solved: list[_Solved] = []
+    had_s = np.zeros(len(parts))
+    for number, part in enumerate(parts):
+        share = deadline.part(_TRIAL * (len(parts) - number)) if len(parts) > 1 else deadline
+        had_s[number] = share.left_s()
+        solved.append(_solve_share(part, rng, share, gap))
+        if solved[-1].impossible:
+            return solved
+    tried = True
+    while tried and not deadline.passed():
+        tried = False
+        short = [number for number, one in enumerate(solved) if one.short]
+        for place, number in enumerate(short):
+            share = deadline.part(len(short) - place)
+            if share.left_s() > had_s[number]:  # it begins anew, but for the cover
+                tried, had_s[number] = True, share.left_s()
+                before = solved[number]
+                again = _solve_share(before.part, rng, share, gap, before.outcome.best)
+                solved[number] = _better(before, again)
+    return solved
+
+
+def _solve_share(
+    part: Instance,
+    rng: np.random.Generator,
+    share: Deadline,
+    gap: float,
+    known: Bools | None = None,
+) -> _Solved:
+    """One part within its share of the limit, from a cover that is known, if any."""
+    best = greedy_cover(part) if known is None else known
+    part, best = _affordable(part, best)
+    outcome, relaxed = _solve_part(part, best, rng, share, gap)
+    cost = math.inf if outcome.best is None else float(part.cost[outcome.best].sum())
+    enough = _proven(part, outcome.best, outcome.bound) or is_within(gap, cost, outcome.bound)
+    return _Solved(part, outcome, relaxed, share.passed() and not enough)
+
+
+def _affordable(part: Instance, best: Bools | None) -> tuple[Instance, Bools | None]:
+    """Without choices that cost more than a whole cover does: they would set the scale of costs."""
+    if best is None:
+        return part, best
+    dear = part.cost > part.cost[best].sum()
+    if not dear.any():
+        return part, best
+    left = part.select(~dear, np.ones(part.shape[1], bool))
+    return left.rescaled(), best[~dear]
+
+
+def _better(first: _Solved, second: _Solved) -> _Solved:
+    """Of two tries of one part the cheaper cover and the higher bound."""
+    scale = second.part.step / first.part.step
+    bound = max(first.outcome.bound / scale, second.outcome.bound)
+    nodes = first.outcome.nodes + second.outcome.nodes
+    return replace(second, outcome=Outcome(second.outcome.best, bound, nodes))
 
 
 def _solve_part(
-    instance: Instance, rng: np.random.Generator, deadline: Deadline, gap: float
+    instance: Instance,
+    best: Bools | None,
+    rng: np.random.Generator,
+    deadline: Deadline,
+    gap: float,
 ) -> tuple[Outcome, float | None]:
-    """Outcome of one instance and the bound of its relaxation, in steps."""
-    best = greedy_cover(instance)
+    """Outcome of one instance from a cover, if any, and the bound of its relaxation, in steps."""
     bound = instance.round_up(_simple_bound(instance))
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
@@ -103,6 +193,9 @@ def _cut_and_branch(
     bound = min(max(bound, instance.round_up(cut.bound)), local.cost)
     if _enough(instance, local.best, bound, gap) or deadline.passed():
         return Outcome(local.best, bound, 0)
+    node = search.start(cut)
+    if local.best is not None and is_for_highs(instance, node, local.best, cut.bound):
+        return branch_by_highs(instance, node, local.best, bound, deadline, gap)
     if is_small(local):
         local.active[search.relaxation.targets_inside()] = True
         return _prove(local, bound, rng, deadline, gap)
@@ -201,27 +294,20 @@ def _infeasible(reduced: Reduced, start: float) -> Cover:
 
 
 def _assemble(
-    problem: CoverProblem,
-    reduced: Reduced,
-    outcomes: list[Outcome],
-    relaxed: list[float | None],
-    start: float,
-    gap: float,
+    problem: CoverProblem, reduced: Reduced, solved: list[_Solved], start: float, gap: float
 ) -> Cover:
     """Answer of the whole problem from those of its parts."""
-    found = all(outcome.best is not None for outcome in outcomes)
-    chosen, bound = reduced.taken, math.fsum(problem.costs[reduced.taken])
-    proven, base = found, bound
-    for part, outcome in zip(reduced.parts, outcomes, strict=True):
-        bound += outcome.bound * reduced.step
-        if outcome.best is not None:
-            chosen = np.concatenate([chosen, part.choice[outcome.best]])
-            proven &= _proven(part, outcome.best, outcome.bound)
-    chosen = np.sort(chosen) if found else np.empty(0, np.int64)
+    found = all(one.outcome.best is not None for one in solved)
+    proven = all(one.proven for one in solved)
+    base = math.fsum(problem.costs[reduced.taken])
+    bound = base + math.fsum(one.outcome.bound * one.part.step for one in solved)
+    taken = [one.part.choice[one.outcome.best] for one in solved if one.outcome.best is not None]
+    chosen = np.sort(np.concatenate([reduced.taken, *taken])) if found else np.empty(0, np.int64)
     objective = math.fsum(problem.costs[chosen]) if found else math.inf
     bound = objective if proven else min(bound, objective)
     unproven = WITHIN_GAP if is_within(gap, objective, bound) else TIME_LIMIT
-    lp = None if None in relaxed else base + reduced.step * math.fsum(b for b in relaxed if b)
+    relaxed = [math.nan if one.relaxed is None else one.part.step * one.relaxed for one in solved]
+    lp = None if np.isnan(relaxed).any() else base + math.fsum(relaxed)
     return Cover(
         OPTIMAL if proven else unproven,
         chosen.astype(np.int64),
@@ -232,5 +318,6 @@ def _assemble(
         reduced.uncoverable,
         reduced.counts,
         lp,
-        sum(outcome.nodes for outcome in outcomes),
+        sum(one.outcome.nodes for one in solved),
+        proved_by="highs" if any(o.outcome.proved_by == "highs" for o in solved) else "own",
     )

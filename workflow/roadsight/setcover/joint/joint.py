@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import highspy
 import numpy as np
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.setcover.common.problem import objective_step, power_of_two
 from roadsight.setcover.common.relaxation import quiet_highs
 from roadsight.setcover.common.result import (
     INFEASIBLE,
@@ -72,13 +74,17 @@ class _Joint:
     """State of `solve_joint`."""
 
     def __init__(self, problem: JointProblem, limit_s: float, gap: float, oracle: Oracle) -> None:
-        self.problem, self.gap, self.oracle = problem, gap, oracle
+        step = objective_step(problem.costs)
+        self.whole, self.unit = step > 0, step or power_of_two(float(problem.costs.max(initial=1)))
+        scaled = problem.costs / self.unit
+        costs = np.round(scaled) if self.whole else scaled
+        self.problem = problem = replace(problem, costs=costs)
+        self.gap, self.oracle = gap, oracle
         self.by_target = problem.gain.tocsc()
         self.start = time.process_time()
         self.end = time.perf_counter() + _CLOCK_FACTOR * limit_s
         self.nodes_left = max(int(limit_s * _NODES_PER_S), 1)
         self.nodes = 0
-        self.whole = bool((problem.costs == np.round(problem.costs)).all())
         slack = np.asarray(problem.gain.sum(axis=0)).ravel() / problem.need
         self.active = np.zeros(len(problem.need), bool)
         self.active[np.argsort(slack, kind="stable")[:_FIRST]] = True
@@ -223,7 +229,7 @@ class _Joint:
 
     def _proven(self) -> bool:
         best = self._cost(self.best)
-        return math.isfinite(best) and self.bound >= best - 1e-6 * max(1.0, best)
+        return math.isfinite(best) and self.bound >= best - 1e-6 * (1.0 if self.whole else best)
 
     def _result(self, status: str) -> Cover:
         best = self._cost(self.best)
@@ -233,8 +239,8 @@ class _Joint:
         return Cover(
             status,
             np.empty(0, np.int64) if self.best is None else self.best,
-            best,
-            bound,
+            best * self.unit,
+            bound * self.unit,
             relative_gap(best, bound),
             time.process_time() - self.start,
             reductions={

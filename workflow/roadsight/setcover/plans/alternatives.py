@@ -36,7 +36,8 @@ def replacements(deployment: Deployment, chosen: Ints) -> list[Ints]:
 
     Mandatory ones have none. ``chosen`` must be an allowed answer.
     """
-    return [_replacing(deployment, chosen, int(choice)) for choice in chosen]
+    scaled, *_ = deployment.normalised()
+    return [_replacing(scaled, chosen, int(choice)) for choice in chosen]
 
 
 def _replacing(deployment: Deployment, chosen: Ints, choice: int) -> Ints:

@@ -18,6 +18,8 @@ _LEAST = 0.1
 """Least share of the best choices that a trial takes out."""
 _MOST = 0.5
 """Most of them: with more, a trial is a new greedy fill that forgets what was good."""
+_NEARER = 1e-2
+"""Share of what is proven by which an answer must be better: sums are rounded."""
 _PULL = 1.3
 """Factor by which an unseen target draws more in the next trial, as long as there is no answer."""
 
@@ -53,7 +55,7 @@ class Builder:
         """Take choices over if they are allowed and better than the best."""
         chosen = np.unique(choices).astype(np.int64)
         value = self.deployment.objective(chosen)
-        if value < self.value - 1e-9 * max(1.0, abs(value)):
+        if value < self.value - _NEARER * self.deployment.near(value):
             self.best, self.value = chosen, value
             return True
         return False

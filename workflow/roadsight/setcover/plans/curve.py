@@ -16,6 +16,7 @@ from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WI
 from roadsight.setcover.plans.cuts import Cut
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.whole import solve_whole
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ def coverage_curve(
     gap: float = 0.0,
     known: Sequence[Ints] = (),
     full: float = 0.0,
+    solver: str = "own",
 ) -> list[CurvePoint]:
     """Points for increasing budgets; values and bounds never fall.
 
@@ -56,6 +58,7 @@ def coverage_curve(
     ----------
     deployment : its budget, worth, cost and floor are replaced. known : choices to begin with.
     full : no smaller budget than this sees everything, as is known from elsewhere.
+    solver : "own", or "highs" for each budget by itself (`solve_whole`).
 
     Raises
     ------
@@ -71,11 +74,14 @@ def coverage_curve(
         asked = base.with_budget(budget)
         starts = [*(p.chosen for p in points[-1:]), *known]
         part = deadline.part(len(ordered) - number)
-        found = solve_deployment(asked, part, seed, gap, starts, pool)
-        pool = found.pool or pool
-        if found.cover.status != INFEASIBLE and math.isfinite(found.cover.objective):
-            bound = min(-found.cover.bound, _most(asked, full))
-            points.append(_point(asked, budget, found.cover.chosen, bound))
+        if solver == "highs":
+            cover = solve_whole(asked, part, gap)
+        else:
+            found = solve_deployment(asked, part, seed, gap, starts, pool)
+            cover, pool = found.cover, found.pool or pool
+        if cover.status != INFEASIBLE and math.isfinite(cover.objective):
+            bound = min(-cover.bound, _most(asked, full))
+            points.append(_point(asked, budget, cover.chosen, bound))
     if not points:
         raise InputError("no budget pays for the mandatory rows", where="curve", found=ordered)
     return _monotone(points, base, gap)

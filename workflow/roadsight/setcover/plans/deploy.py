@@ -31,6 +31,8 @@ from roadsight.setcover.plans.tree import Tree
 
 _STEPS = 2_000
 """Trials of the greedy search between two covers that are not proven."""
+_FAR_APART = 2.0**20
+"""Ratio of costs beyond which dear choices are looked for."""
 _COVER_SHARES = 3
 """The cover without further conditions, which bounds the answer, has one of so many shares of the
 work."""
@@ -72,6 +74,7 @@ def solve_deployment(
     if deployment.out_of_reach:
         return Deployed(_infeasible(start), [])
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
+    deployment, unit, _ = _affordable(deployment).normalised()
     builder = Builder(Cuts(deployment), np.random.default_rng(seed))
     floor = -deployment.worth * deployment.total
     if deployment.complete:
@@ -87,7 +90,10 @@ def solve_deployment(
         master = Master(builder.cuts, pool)
         tree = Tree(master, builder, gap).run(floor, deadline)
         proof, nodes, pool = tree.bound, tree.nodes, master.pool()
-    return Deployed(_assemble(deployment, builder, proof, nodes, start, gap), pool)
+    found = _assemble(deployment, builder, proof, nodes, start, gap)
+    return Deployed(
+        replace(found, objective=found.objective * unit, bound=found.bound * unit), pool
+    )
 
 
 def solve_costly_cover(
@@ -141,6 +147,23 @@ def _by_cover(
     return cover.bound + least
 
 
+def _affordable(deployment: Deployment) -> Deployment:
+    """Without choices that cost more than everything does elsewhere, where costs are far apart.
+
+    They would set the scale of costs, and tolerances with it.
+    """
+    cost = np.asarray(deployment.cost)
+    if cost.max(initial=0.0) <= _FAR_APART * cost[cost > 0].min(initial=math.inf):
+        return deployment
+    builder = Builder(Cuts(deployment), np.random.default_rng(SEED))
+    builder.build(np.empty(0, np.int64))
+    most = builder.value + deployment.worth * deployment.total
+    dear = (cost > most * (1 + 1e-9)) & ~deployment.problem.mandatory
+    banned = np.flatnonzero(deployment.problem.forbidden | dear)
+    problem = deployment.problem.changed(forbidden=banned)
+    return replace(deployment, problem=problem, cost=np.where(dear, most, cost))
+
+
 def _infeasible(start: float) -> Cover:
     nothing = np.empty(0, np.int64)
     seconds = time.process_time() - start
@@ -155,8 +178,7 @@ def _assemble(
     value = builder.value
     proven = bound > deployment.goal(value)
     bound = value if proven else min(deployment.round_up(bound), value)
-    # Of a price, objectives count from the full coverage down, so that gaps are those of costs.
-    shift = deployment.worth * deployment.total if np.asarray(deployment.cost).any() else 0.0
+    shift = deployment.shift
     near = is_within(gap, value + shift, bound + shift)
     choices, targets = deployment.problem.matrix.shape
     return Cover(

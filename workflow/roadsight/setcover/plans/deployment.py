@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,10 +13,18 @@ from scipy import sparse
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
-from roadsight.setcover.common.problem import CoverProblem, alone_to_none, objective_step
+from roadsight.setcover.common.problem import (
+    NEAR,
+    CoverProblem,
+    alone_to_none,
+    objective_step,
+    power_of_two,
+)
 
 _ROUNDING = 1e-12
 """Share of a budget that sums of charges may exceed it by: they are rounded."""
+_ROUNDED = 2.0**-43
+"""Share of its terms by which an objective may be rounded."""
 _LEAST_STEP = 1e-3
 """Common steps of the objective that are smaller, as a share of its largest term, do not count:
 rounding bounds up to them would hardly help."""
@@ -88,7 +97,7 @@ class Deployment:
     @property
     def out_of_reach(self) -> bool:
         """Whether V is asked to be more than the weight of all targets."""
-        return self.floor > self.total + 1e-9 * max(1.0, self.floor)
+        return self.floor * (1 - 1e-9) > self.total
 
     @cached_property
     def spendable(self) -> float:
@@ -120,13 +129,67 @@ class Deployment:
         parts = [self.cost, self.worth * self.weights]
         values: Floats = np.concatenate(parts)
         step = objective_step(values[values > 0]) if (values > 0).any() else 1.0
-        return step if step >= _LEAST_STEP * values.max(initial=1.0) else 0.0
+        return step if step >= _LEAST_STEP * values.max(initial=0.0) else 0.0
 
     def goal(self, best: float) -> float:
         """Largest bound that still allows a better objective than ``best``."""
         if not math.isfinite(best):
             return math.inf
-        return best - self.step * (1 - 1e-6) if self.step else best - 1e-7 * max(1.0, abs(best))
+        return best - self.step * (1 - 1e-6) if self.step else best - self.near(best)
+
+    def shown(self, objective: float) -> float:
+        """Covered weight of a budget, cost of choices and of what they leave for a price."""
+        counts = not self.complete and not np.asarray(self.cost).any()
+        return -objective if counts else objective + (0.0 if self.complete else self.shift)
+
+    @cached_property
+    def shift(self) -> float:
+        """What counts objectives from full coverage down, so that gaps of a price are of costs."""
+        return self.worth * self.total if np.asarray(self.cost).any() else 0.0
+
+    def near(self, best: float) -> float:
+        """How near to ``best`` an objective without a step is proven."""
+        rounded = _ROUNDED * (abs(best) + self.worth * self.total)
+        return max(NEAR * abs(best + self.shift), rounded, sys.float_info.min)
+
+    def normalised(self) -> tuple[Deployment, float, float]:
+        """The same in units of its own size, the unit of cost, and that of weight.
+
+        Solvers' tolerances are absolute. Weights are divided by the greatest, charges too, costs by
+        what the target that is dearest to see, or to leave unseen, costs at least. All units are
+        powers of two, by which nothing is rounded.
+        """
+        weight = power_of_two(
+            float(np.max(self.weights, initial=0.0, where=self.problem.at_least > 0))
+        )
+        charge = power_of_two(float(np.max(self.charge, initial=0.0)))
+        cost = power_of_two(self._least() or self.worth * weight or float(self.cost.max(initial=0)))
+        return (
+            replace(
+                self,
+                weights=self.weights / weight,
+                worth=self.worth * weight / cost,
+                cost=self.cost / cost,
+                charge=self.charge / charge,
+                budget=self.budget / charge,
+                floor=self.floor / weight,
+            ),
+            cost,
+            weight,
+        )
+
+    def _least(self) -> float:
+        """Least cost of the target that is dearest to see, or to leave unseen; 0 where unknown."""
+        by_target = self.problem.matrix.tocsc()
+        often = np.where(np.diff(by_target.indptr) > 0, self.problem.at_least, 0)
+        seen = np.flatnonzero(often)
+        if not len(seen):
+            return 0.0
+        cost = np.asarray(self.cost)[by_target.indices]
+        least = np.minimum.reduceat(cost, by_target.indptr[seen]) * often[seen]
+        if not self.complete:
+            least = np.minimum(least, self.worth * self.weights[seen])
+        return float(least.max())
 
     def round_up(self, bound: float) -> float:
         """Bound lifted to the next possible objective."""
@@ -153,7 +216,7 @@ class Deployment:
             return math.inf
         value = self.guaranteed(chosen)
         least = max(self.total, self.floor) if self.complete else self.floor
-        if value < least - 1e-9 * max(1.0, least) or (self.complete and self._unseen(chosen)):
+        if value < least * (1 - 1e-9) or (self.complete and self._unseen(chosen)):
             return math.inf
         return math.fsum(self.cost[chosen]) - self.worth * value
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats, Ints32
 from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.relaxation import Node, quiet_highs, run_simplex
+from roadsight.setcover.common.relaxation import ROUNDING, Node, quiet_highs, run_simplex
 from roadsight.setcover.plans.cuts import Cut, Cuts
 
 MOST_CONSTRAINTS = 1_200
@@ -137,15 +137,17 @@ class Master:
         x, dual = np.array(raw.col_value), np.array(raw.row_dual)
         if len(dual) != len(self._constraints) or not np.isfinite(dual).all():
             return self._stopped(-np.inf)
-        reduced, bound = self.price.copy(), self.constant
+        reduced, bound, size = self.price.copy(), self.constant, abs(self.constant)
         # Without duals of the wrong sign the bound holds, whatever the solver's tolerances.
         for k in np.flatnonzero(dual > 0):
             cut = self._constraints[k]
             reduced[cut.index] -= dual[k] * cut.value
             bound += dual[k] * cut.low
+            size += abs(dual[k] * cut.low)
         low = np.concatenate([node.fixed, np.zeros(self.cuts.blocks)])
         high = np.concatenate([node.alive, self._high[self.choices :]])
-        bound += float(np.where(reduced > 0, reduced * low, reduced * high).sum())
+        rest = np.where(reduced > 0, reduced * low, reduced * high)
+        bound += float(rest.sum()) - ROUNDING * (size + float(np.abs(rest).sum()))
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
         return Relaxed(float(bound), x[: self.choices], reduced[: self.choices], False, optimal)
 

@@ -88,6 +88,7 @@ def second_objective(
     if not (deployment.problem.at_least > 0).any():
         nothing = np.zeros(LEVELS)
         return Second(chosen, nothing, nothing, 0.0, 0, 0, 0.0, proven=True)
+    deployment, _, unit = deployment.normalised()
     search = _Search(deployment, chosen, limit, stretch)
     before = search.best.copy()
     bound = search.rules.base + search.most(deployment.problem.mandatory)
@@ -96,12 +97,12 @@ def second_objective(
     bound = float(value[0]) if proven else max(min(bound, deployment.total), float(value[0]))
     return Second(
         np.flatnonzero(search.cover).astype(np.int64),
-        value,
-        before[:LEVELS],
-        deployment.total,
+        unit * value,
+        unit * before[:LEVELS],
+        unit * deployment.total,
         int(search.best[2]),
         int(before[2]),
-        _floored(bound, np.asarray(deployment.weights)),
+        _floored(unit * bound, unit * np.asarray(deployment.weights)),
         proven,
     )
 

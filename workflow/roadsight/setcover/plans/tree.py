@@ -81,11 +81,9 @@ class Tree(BestFirst):
         """Whether the gap is reached or work is out; the root is always tried."""
         if not self.nodes:
             return False
-        constant = self.deployment.worth * self.deployment.total
-        value = self.builder.value
-        if self.deployment.cost.any():
-            value, bound = value + constant, bound + constant
-        return deadline.passed() or is_within(self.gap, value, bound)
+        shift = self.deployment.shift
+        near = is_within(self.gap, self.builder.value + shift, bound + shift)
+        return deadline.passed() or near
 
     def expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
         """Bound and children of a node; None for children where work ran out."""

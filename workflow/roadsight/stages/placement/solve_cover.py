@@ -32,9 +32,11 @@ from roadsight.placement.plans.seen_again import see_again, stretches
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, times_seen
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
-from roadsight.setcover.common.deadline import Effort
+from roadsight.setcover.common.deadline import Effort, WorkLimit
+from roadsight.setcover.common.program import version
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.whole import solve_whole, verify
 from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
@@ -99,7 +101,7 @@ def solve_cover(
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(given, cover, sensors, targets, uncovered)
-    content |= robust | ({"second": again.record} if again.record else {})
+    content |= robust | again.records
     content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
@@ -170,8 +172,7 @@ def _with_tolerance(
             groups=choices["position"].to_numpy(),
             at_least=given.cover.at_least,
         )
-        effort, seed, gap = _limits(given)
-        cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
+        cover = _solve(given, problem)
         return None if not len(cover.chosen) else np.asarray(cover.chosen, np.int64)
 
     reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
@@ -203,7 +204,10 @@ def _with_tolerance(
 
 
 class _Again:
-    """Among plans of one cost, the one that sees most again; its record, once there is one."""
+    """Among plans of one cost, the one that sees most again, and what HiGHS says of its bound.
+
+    ``record`` and ``verified`` are None until there are any.
+    """
 
     def __init__(
         self,
@@ -213,6 +217,8 @@ class _Again:
         looked_at: Bools | None,
     ) -> None:
         self.record: dict[str, Any] | None = None
+        self.verified: dict[str, Any] | None = None
+        self._verify_s = given.cover.verify_time_limit_s if given.cover.verify == "highs" else 0.0
         self._limit_s = given.cover.second_time_limit_s if given.cover.second_objective else 0.0
         self._allowed, self._gap = looked_at, given.cover.gap
         self._cell_m = 0.0
@@ -222,6 +228,12 @@ class _Again:
             edges = list(read_layer(given.edges, "edges", frame).geometry)
             places = wanted[["x", "y"]].to_numpy(np.float64)
             self._stretch = stretches(stations_m(edges, places), self._cell_m)
+
+    @property
+    def records(self) -> dict[str, Any]:
+        """What solution.json says of both."""
+        every = {"second": self.record, "verified": self.verified}
+        return {name: record for name, record in every.items() if record}
 
     def __call__(self, deployment: Deployment, cover: Cover) -> Cover:
         """Cover of the same cost."""
@@ -234,6 +246,9 @@ class _Again:
             self._allowed,
             self._gap,
         )
+        if self._verify_s:
+            self.verified = verify(deployment, better, WorkLimit(self._verify_s)).record()
+            log.info("HiGHS: %s", self.verified["result"])
         return better
 
 
@@ -244,20 +259,27 @@ def _cheapest(
     better: Better,
 ) -> Cover:
     """Cheapest cover, as a plan without options asks for."""
-    effort, seed, gap = _limits(given)
     problem = CoverProblem(
         matrix,
         choices["cost"].to_numpy(),
         groups=choices["position"].to_numpy(),
         at_least=given.cover.at_least,
     )
-    cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
+    cover = _solve(given, problem)
     _check_solved(given, cover)
     return better(Deployment(problem), cover)
 
 
+def _solve(given: CoverFiles, problem: CoverProblem) -> Cover:
+    effort, seed, gap = _limits(given)
+    if effort.solver == "highs":
+        return solve_whole(Deployment(problem), effort.limit(), gap)
+    return solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
+
+
 def _limits(given: CoverFiles) -> tuple[Effort, int, float]:
-    return Effort(given.cover.time_limit_s, given.cover.patience), given.seed, given.cover.gap
+    cover = given.cover
+    return Effort(cover.time_limit_s, cover.patience, cover.solver), given.seed, cover.gap
 
 
 def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
@@ -392,6 +414,9 @@ def _content(
         "objective": cover.objective,
         "bound": cover.bound,
         "gap": cover.gap,
+        "solver": cover.solver,
+        "solver_version": version(cover.solver),
+        "proved_by": cover.proved_by,
         "at_least": given.cover.at_least,
         "sensors": sensors.to_dict("records"),
         "targets": len(targets),

@@ -1,0 +1,153 @@
+"""Covers in any unit, type and layout against all subsets."""
+
+import math
+
+import numpy as np
+import pytest
+
+from roadsight.setcover import CoverProblem, solve_cover_problem
+from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.problem import NEAR
+from roadsight.setcover.plans.alternatives import most_different, replacements
+from roadsight.setcover.plans.curve import coverage_curve
+from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.whole import PUBLISHED_GAP, solve_whole, verify
+from tests.fuzz.covers import least_cost, least_objective, posed, posed_deployment
+
+STEPS = {"ones", "whole"}
+"""Kinds of cost with a step, whose proofs are exact but for rounding."""
+FULL_PLANS = [pytest.param(3_000, marks=pytest.mark.full), 40]
+FULL = [pytest.param(20_000, marks=pytest.mark.full), 1_500]
+
+
+def check(seed):
+    rng = np.random.default_rng([20_000, seed])
+    parts, covers, kind = posed(rng)
+    problem = CoverProblem(**parts)
+    np.testing.assert_array_equal(problem.matrix.toarray() > 0, covers)
+    best = least_cost(problem, covers)
+    limit, gap = [(None, 0.0), (None, 0.1), (WorkLimit(1e-4), 0.0)][
+        rng.choice(3, p=[0.8, 0.1, 0.1])
+    ]
+    cover = solve_cover_problem(problem, limit, gap=gap)
+    if math.isinf(best):
+        assert cover.status == "infeasible" or (limit is not None and math.isinf(cover.objective))
+        return
+    room = 1e-12 if kind in STEPS else NEAR
+    assert cover.bound <= best * (1 + room)
+    if math.isfinite(cover.objective):
+        taken = np.zeros(len(problem.costs), bool)
+        taken[cover.chosen] = True
+        assert ((taken @ covers.astype(int)) >= problem.at_least).all()
+        assert cover.objective == math.fsum(problem.costs[cover.chosen])
+        assert cover.objective >= best * (1 - 1e-12)
+    if limit is None and not gap:
+        assert cover.status == "optimal"
+    if cover.status == "optimal":
+        assert cover.objective <= best * (1 + room)
+    if cover.status == "within_gap":
+        assert cover.objective * (1 - gap) <= best * (1 + 1e-12)
+
+
+def check_deployment(seed):
+    rng = np.random.default_rng([10_000, seed])
+    deployment = posed_deployment(rng)
+    best, room = least_objective(deployment)
+    limit = WorkLimit(1e-3) if rng.random() < 0.1 else None
+    cover = solve_deployment(deployment, limit).cover
+    if math.isinf(best):
+        assert cover.status == "infeasible" or (limit is not None and math.isinf(cover.objective))
+        return
+    assert cover.bound <= best + room
+    if math.isfinite(cover.objective):
+        assert cover.objective == pytest.approx(deployment.objective(cover.chosen), abs=room)
+        assert cover.objective >= best - room
+    if limit is None:
+        assert cover.status == "optimal"
+    if cover.status == "optimal":
+        assert cover.objective <= best + room
+
+
+def check_whole(seed):
+    rng = np.random.default_rng([10_000, seed])
+    deployment = posed_deployment(rng)
+    best, room = least_objective(deployment)
+    cover = solve_whole(deployment, None)
+    if math.isinf(best):
+        assert cover.status == "infeasible"
+        return
+    assert cover.status in ("optimal", "within_gap")
+    near = PUBLISHED_GAP * abs(best + deployment.shift)
+    assert cover.bound <= best + room
+    assert best - room <= cover.objective <= best + room + (near if cover.gap else 0)
+    assert verify(deployment, cover, WorkLimit(60.0)).confirmed
+    own = solve_deployment(deployment).cover
+    assert verify(deployment, own, WorkLimit(60.0)).confirmed
+
+
+def check_curve(seed):
+    rng = np.random.default_rng([3_000, seed])
+    deployment = posed_deployment(rng, "budget")
+    cheap = math.fsum(deployment.charge[deployment.problem.mandatory])
+    budgets = np.linspace(cheap, deployment.charge.sum(), 4).tolist()
+    if math.isinf(least_objective(deployment.with_budget(cheap))[0]):
+        return
+    points = coverage_curve(deployment, budgets)
+    assert [point.budget for point in points] == sorted(set(budgets))
+    for point in points:
+        best, room = least_objective(deployment.with_budget(point.budget))
+        assert point.status == "optimal"
+        assert point.value == pytest.approx(-best, abs=room)
+        assert point.bound >= -best - room
+
+
+def check_alternatives(seed):
+    rng = np.random.default_rng([4_000, seed])
+    deployment = posed_deployment(rng, "cover")
+    cover = solve_deployment(deployment).cover
+    if cover.status != "optimal":
+        return
+    unit = cover.objective or 1.0
+    for one, others in zip(cover.chosen, replacements(deployment, cover.chosen), strict=True):
+        for other in others:
+            swapped = np.sort(np.append(cover.chosen[cover.chosen != one], other))
+            assert deployment.objective(swapped) <= cover.objective + 1e-7 * unit
+    place = rng.integers(0, 4, len(deployment.cost))
+    found = most_different(deployment, cover.chosen, place)
+    assert deployment.objective(found.chosen) <= cover.objective + 1e-7 * unit
+    assert found.least_shared <= found.shared
+
+
+def each(check_one, count):
+    for seed in range(count):
+        try:
+            check_one(seed)
+        except (AssertionError, ArithmeticError, ValueError) as error:
+            raise AssertionError(f"seed {seed}") from error
+
+
+@pytest.mark.parametrize("count", FULL)
+def test_covers_are_the_best_of_all_subsets(count):
+    each(check, count)
+
+
+@pytest.mark.parametrize("count", FULL_PLANS)
+@pytest.mark.parametrize(
+    "check_one", [check_deployment, check_whole, check_curve, check_alternatives]
+)
+def test_plans_are_the_best_of_all_subsets(check_one, count):
+    each(check_one, count)
+
+
+@pytest.mark.parametrize("kind", ["ones", "whole", "fractions"])
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 3e-5, 7e11])
+def test_a_cover_does_not_depend_on_the_unit_of_cost(kind, unit):
+    rng = np.random.default_rng(3)
+    covers = rng.random((60, 80)) < 0.15
+    covers[rng.integers(0, 60, 80), np.arange(80)] = True
+    costs = rng.integers(1, 9, 60) if kind == "whole" else rng.uniform(0.5, 3, 60)
+    costs = np.ones(60) if kind == "ones" else costs
+    usual, other = (solve_cover_problem(CoverProblem(covers, costs * u)) for u in (1.0, unit))
+    assert (usual.status, other.status) == ("optimal", "optimal")
+    assert other.objective == pytest.approx(unit * usual.objective, rel=1e-7)
+    assert other.bound == pytest.approx(unit * usual.bound, rel=1e-7)

@@ -1,0 +1,126 @@
+"""Integer programs, handed whole to HiGHS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+from scipy import sparse
+
+from roadsight import __version__
+from roadsight.base.arrays import Bools, Floats
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.relaxation import quiet_highs
+
+_FEASIBLE = 1e-9
+"""Tolerance of the solver: what it lets pass is looked at again with exact sums."""
+_LOOK_S = 1.5e-3
+"""Work between two looks of the solver at its limit, whatever the size, in seconds."""
+_LOOK_ENTRY_S = 8e-7
+"""The same by entry of the program. Looks are the only steps that the solver tells of while it runs,
+and they are the same on every machine. 490 looks at 900 entries took 1.0 CPU s, 155 at 10,000 3.0."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """minimise ``price x`` subject to ``low <= rows x <= high``, ``least <= x <= most``.
+
+    Parameters
+    ----------
+    price, least, most : (variables,). rows : (constraints, variables). low, high : (constraints,).
+    whole : (variables,) which are whole numbers.
+    """
+
+    price: Floats
+    rows: sparse.csr_matrix
+    low: Floats
+    high: Floats
+    least: Floats
+    most: Floats
+    whole: Bools
+
+
+@dataclass(frozen=True)
+class Programmed:
+    """Answer of the solver.
+
+    Parameters
+    ----------
+    x : (variables,) the best found, or None. bound : proven; infinite where nothing is feasible.
+    nodes : of its tree.
+    """
+
+    x: Floats | None
+    bound: float
+    nodes: int
+
+
+def version(solver: str = "highs") -> str:
+    """Name and version of a solver; ours solves linear programs by HiGHS."""
+    highs = f"HiGHS {highspy.Highs().version()}"
+    return highs if solver == "highs" else f"roadsight {__version__}, {highs}"
+
+
+def run_program(
+    program: Program,
+    limit: Deadline,
+    gap: float = 0.0,
+    step: float = 0.0,
+    start: Floats | None = None,
+    enough: float = math.inf,
+) -> Programmed:
+    """Solve a program with one thread and a fixed seed.
+
+    By a `WorkLimit` the answer is the same on any machine: the limit counts how often the solver
+    looks whether it should stop.
+
+    Parameters
+    ----------
+    gap : share of the objective that is near enough. step : objectives are multiples of it, and a
+        gap below one is no gap. start : values to begin with. enough : bound at which to stop.
+    """
+    highs = quiet_highs(
+        mip_feasibility_tolerance=_FEASIBLE,
+        primal_feasibility_tolerance=_FEASIBLE,
+        mip_rel_gap=gap,
+        mip_abs_gap=step * (1 - 1e-6) if step else 0.0,
+    )
+    clock_s = limit.clock_left_s()
+    if math.isfinite(clock_s):
+        highs.setOptionValue("time_limit", clock_s)
+    highs.passModel(_model(program))
+    if start is not None:
+        solution = highspy.HighsSolution()
+        solution.col_value = start
+        highs.setSolution(solution)
+    look_s = _LOOK_S + _LOOK_ENTRY_S * program.rows.nnz
+
+    def look(event: highspy.HighsCallbackEvent) -> None:
+        limit.spend(look_s)
+        if limit.passed() or event.data_out.mip_dual_bound >= enough:
+            event.data_in.user_interrupt = True
+
+    highs.cbMipInterrupt.subscribe(look)
+    highs.run()
+    info = highs.getInfo()
+    if highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+        return Programmed(None, math.inf, max(int(info.mip_node_count), 0))
+    found = info.primal_solution_status == 2
+    x = np.array(highs.getSolution().col_value) if found else None
+    return Programmed(x, float(info.mip_dual_bound), max(int(info.mip_node_count), 0))
+
+
+def _model(program: Program) -> highspy.HighsLp:
+    model = highspy.HighsLp()
+    model.num_row_, model.num_col_ = program.rows.shape
+    model.col_cost_, model.col_lower_, model.col_upper_ = program.price, program.least, program.most
+    model.row_lower_, model.row_upper_ = program.low, program.high
+    model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    model.a_matrix_.start_ = program.rows.indptr
+    model.a_matrix_.index_ = program.rows.indices
+    model.a_matrix_.value_ = program.rows.data.astype(np.float64)
+    kinds = highspy.HighsVarType
+    model.integrality_ = [kinds.kInteger if one else kinds.kContinuous for one in program.whole]
+    return model
