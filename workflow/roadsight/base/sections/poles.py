@@ -105,7 +105,7 @@ class AlignmentLimits(Section):
         default=0.15, description="less certain headings are rejected, degrees"
     )
     bound_m: Metres = Field(
-        default=0.335, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
+        default=0.33528, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
     )
     bound_deg: float = Field(
         default=0.11, gt=0, le=90, description="published: how far it may turn one, degrees"
