@@ -41,7 +41,8 @@ def drive(tmp_path_factory):
     """Cloud, videolog and true cameras of a road of 160 m."""
     folder = tmp_path_factory.mktemp("drive")
     names = {"cloud": "c.laz", "truth": "t.gpkg", "poles": "p.csv", "videolog": "v.csv"}
-    stage(generate_rural, **{k: folder / v for k, v in names.items()}, cameras=folder / "k.csv")
+    names |= {"cameras": "k.csv", "baseline": "b.json"}
+    stage(generate_rural, **{k: folder / v for k, v in names.items()})
     return folder
 
 

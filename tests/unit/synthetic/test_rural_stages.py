@@ -30,7 +30,7 @@ def cheap(monkeypatch):
 def generate(folder):
     folder.mkdir()
     names = {"cloud": "c.laz", "truth": "t.gpkg", "poles": "p.csv", "videolog": "v.csv"}
-    names["cameras"] = "k.csv"
+    names |= {"cameras": "k.csv", "baseline": "b.json"}
     files = [part for key, name in names.items() for part in (f"--{key}", str(folder / name))]
     assert generate_rural.main([*LENGTH, "--pulses-per-m2", "0.5", *files]) == 0
     return {n: hashlib.sha256((folder / n).read_bytes()).hexdigest() for n in names.values()}

@@ -82,7 +82,7 @@ class Drive(DriveFiles):
     method: Annotated[
         Method,
         "dense: all that photograph and cloud share, needs --intrinsics, auto takes it then; "
-        "road: road edges and poles; as published; or the track alone",
+        "road: road edges and poles; published: Nelder-Mead from --baseline; none: the track alone",
     ] = _ALIGNMENT.method
     max_sigma_heading_deg: Annotated[
         float, "cameras with a less certain heading are rejected; more for a rough map"
@@ -97,9 +97,22 @@ class Drive(DriveFiles):
         """
         super().__post_init__()
         check_word("method", self.method, get_args(Method))
+        if self.method == "published":
+            self._check_published()
         validated(Calibration, {"hfov_deg": self.hfov_deg}, "options")
         limit = {"max_sigma_heading_deg": self.max_sigma_heading_deg}
         validated(AlignmentLimits, limit, "options")
+
+    def _check_published(self) -> None:
+        """Refuse a published alignment without what it starts from, or with a lens besides."""
+        wrong = "the published alignment starts from a registered camera of each image size"
+        if self.baseline is None:
+            hint = "make it with `roadsight register`"
+            raise InputError(wrong, where="options: baseline", found="none", hint=hint)
+        if self.intrinsics is not None:
+            raise InputError(
+                f"{wrong}, and keeps its lens", where="options: intrinsics", found=self.intrinsics
+            )
 
 
 def check_word(name: str, value: object, words: tuple[str, ...]) -> None:

@@ -11,7 +11,7 @@ rule compare_components:
         image_edges=all_image_edges,
         pole_axes=landmark_axes,
         matches=tied_points,
-        baseline=beside_site("poles.baseline"),
+        baseline=registered_cameras,
         masks=all_masks,
         depth=all_depths,
         road_edges=rules.extract_road_edges.output.edges,

@@ -19,7 +19,7 @@ rule calibrate_drive:
         pole_axes=landmark_axes,
         columns=landmark_columns,
         matches=tied_points,
-        baseline=beside_site("poles.baseline"),
+        baseline=registered_cameras,
         cloud=dense_only(rules.ingest_cloud.output.cloud),
         photographs=dense_photographs,
         masks=dense_masks,

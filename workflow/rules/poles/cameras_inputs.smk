@@ -22,6 +22,26 @@ def refuse_without_cameras(resolved):
     )
 
 
+def registered_cameras(wildcards):
+    """Registered cameras: the site's file; where the published alignment needs one, the sample's."""
+    resolved = SITES[wildcards.site]
+    given = beside_site("poles.baseline")(wildcards)
+    if given or resolved.setting("alignment.method") != "published":
+        return given
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/baseline.json"]
+    return clearly(refuse_without_baseline, resolved)
+
+
+def refuse_without_baseline(resolved):
+    raise InputError(
+        "the published alignment starts from a registered camera of each image size",
+        where=f"{resolved.file}: poles.baseline",
+        found="none",
+        hint="register one image of each size with `roadsight register` or in the studio",
+    )
+
+
 def camera_folder(wildcards):
     return "cameras" if aligns(wildcards) else "given_cameras"
 

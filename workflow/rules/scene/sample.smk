@@ -45,6 +45,7 @@ rule generate_rural:
         poles="results/{site}/sample/truth_poles.csv",
         cameras="results/{site}/sample/truth_cameras.csv",
         videolog="results/{site}/sample/videolog.csv",
+        baseline="results/{site}/sample/baseline.json",
     log:
         log_of("generate_rural"),
     benchmark:
@@ -61,7 +62,8 @@ rule generate_rural:
     shell:
         "python -m roadsight.stages.scene.generate_rural {params.options} --seed {params.seed}"
         " --cloud {output.cloud} --truth {output.truth} --poles {output.poles}"
-        " --cameras {output.cameras} --videolog {output.videolog} > {log} 2>&1"
+        " --cameras {output.cameras} --videolog {output.videolog}"
+        " --baseline {output.baseline} > {log} 2>&1"
 
 
 rule render_videolog:

@@ -8,8 +8,7 @@ import pytest
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 from roadsight.poles.alignment.drive import near_edges, places_of
-from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW, Spread, Start, pose_of
-from roadsight.poles.alignment.published import nelder_mead, squared_gaps
+from roadsight.poles.alignment.pose import SIZE, YAW, Spread, Start, pose_of
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
 from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend
@@ -283,23 +282,6 @@ def test_one_side_alone_is_known_and_less_certain(bed, tasks, fits):
         assert is_one_sided(task) and not is_one_sided(tasks[number])
         both = np.diag(fits[number][0].covariance)
         assert np.diag(search(task)[0].covariance)[1] > both[1]
-
-
-def test_published_way_improves_on_its_start(bed, tasks):
-    task = tasks[5]
-    mean = task.prior_mean.copy()
-    mean[3] += 0.1
-    seen = task.image_edges.thinned(100)
-    unknowns, rms_px = nelder_mead(task.start, seen, task.map_edges, mean, iterations=150)
-    assert np.abs(unknowns[:3] - mean[:3]).max() <= 0.336
-    assert np.abs(unknowns[FOCAL] - mean[FOCAL]) <= 0.0101
-    _, before = nelder_mead(task.start, seen, task.map_edges, mean, iterations=1)
-    assert rms_px < before
-
-
-def test_published_distance():
-    points, pixels = np.array([[0.0, 0.0], [500.0, 0.0]]), np.array([[3.0, 4.0], [9.0, 0.0]])
-    assert squared_gaps(points, pixels, 300.0) == (25.0, 1)
 
 
 def test_pose_of_a_level_road():

@@ -186,6 +186,23 @@ def test_shards_in_any_order_give_the_same_poles(site, poles):
     )
 
 
+def test_the_published_sweep_places_poles_and_states_no_errors(site):
+    code, out = run_triangulation(site, "s0.parquet", "s1.parquet", tag="_sweep",
+                                  also=["--method", "sweep"])  # fmt: skip
+    assert code == 0
+    table, about = read_table(out["poles"]), read_about(out["poles"])
+    gaps = np.hypot(*(table[["x", "y"]].to_numpy()[:, None] - POLES).transpose(2, 0, 1))
+    assert gaps.min(axis=0).max() < 1.5
+    assert table["kept"].all()
+    assert table["sigma_major_m"].isna().all()
+    assert about["method"] == "sweep"
+    assert about["network_scales"] == []
+    assert about["settings"]["sweep_distance_m"] == 25.0
+    assert len(pyogrio.read_dataframe(out["layers"], layer="ellipses")) == 0
+    assert len(pyogrio.read_dataframe(out["layers"], layer="poles")) == len(table)
+    assert len(pd.read_csv(out["csv"])) == len(table)
+
+
 def test_no_sightings_are_empty_tables_and_a_warning(site, caplog):
     code, out = run_triangulation(site, "none.parquet", tag="_none")
     assert code == 0

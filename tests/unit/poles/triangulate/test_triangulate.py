@@ -215,12 +215,16 @@ def sequence_rays(depths, bearings):
 
 def test_sequence_rule():
     everyone = np.arange(3)
-    assert follows_sequence(sequence_rays([30, 22, 14], [80, 75, 60]), everyone, FINE)
-    assert follows_sequence(sequence_rays([30, 22, 14], [350, 355, 10]), everyone, FINE)
-    assert not follows_sequence(sequence_rays([14, 22, 30], [80, 75, 60]), everyone, FINE)
-    assert not follows_sequence(sequence_rays([30, 22, 14], [80, 60, 75]), everyone, FINE)
+    assert follows_sequence(sequence_rays([30, 22, 14], [80, 75, 60]), everyone, FINE.sequence_m)
+    assert follows_sequence(sequence_rays([30, 22, 14], [350, 355, 10]), everyone, FINE.sequence_m)
+    assert not follows_sequence(
+        sequence_rays([14, 22, 30], [80, 75, 60]), everyone, FINE.sequence_m
+    )
+    assert not follows_sequence(
+        sequence_rays([30, 22, 14], [80, 60, 75]), everyone, FINE.sequence_m
+    )
     far = sequence_rays([30, 22, 14], [80, 75, 60])
-    assert not follows_sequence(far, everyone, UNAIDED.model_copy(update={"sequence_m": 7.0}))
+    assert not follows_sequence(far, everyone, 7.0)
 
 
 def test_groups_within_their_errors_merge_but_not_across_one_image():

@@ -105,7 +105,7 @@ class AlignmentLimits(Section):
         default=0.15, description="less certain headings are rejected, degrees"
     )
     bound_m: Metres = Field(
-        default=0.335, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
+        default=0.33528, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
     )
     bound_deg: float = Field(
         default=0.11, gt=0, le=90, description="published: how far it may turn one, degrees"
@@ -230,9 +230,11 @@ class Triangulation(Section):
 
     method: Literal["packing", "listing", "sweep"] = Field(
         default="packing",
-        description="rays grouped by evidence, all groups listed, or the paper's sweep",
+        description="rays grouped by evidence, all groups listed, or as published: sweep",
     )
-    max_distance_m: Metres = Field(default=40.0, description="farther sightings are not used, m")
+    max_distance_m: Metres = Field(
+        default=40.0, description="farther sightings are not used (but by sweep), m"
+    )
     sigma_position_m: Metres = Field(
         default=0.7, description="error of a camera's position, one axis, m"
     )
@@ -255,16 +257,30 @@ class Triangulation(Section):
     sequence_m: Metres = Field(
         default=30.48, description="images of one pole follow each other within this, m (100 ft)"
     )
+    sweep_distance_m: Metres = Field(
+        default=25.0, description="sweep: farther crossings are not used, m"
+    )
     cluster_m: Metres = Field(default=1.0, description="sweep: crossings this near are one pole, m")
     depth_weight: Positive = Field(
-        default=0.2, description="sweep: weight of depths in its energy; 0.02 with a videolog"
+        default=0.02,
+        description="sweep: weight of depths in its energy; a ray alone costs 1 less both weights",
     )
     spread_weight: Positive = Field(
-        default=0.2, description="sweep: weight of the spread of a ray's crossings; likewise"
+        default=0.2, description="sweep: weight of the spread of a ray's crossings"
     )
     clearance_m: float = Field(
         default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"
     )
+
+    @model_validator(mode="after")
+    def _worth_a_link(self) -> Triangulation:
+        both = self.depth_weight + self.spread_weight
+        if self.method == "sweep" and both >= 1.0:
+            raise ValueError(
+                f"depth_weight and spread_weight sum to {both:g}, but must to less than 1: a ray"
+                " alone costs nothing then, and sweep finds no pole"
+            )
+        return self
 
 
 class Hazard(Section):

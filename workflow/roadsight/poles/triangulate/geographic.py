@@ -23,7 +23,7 @@ _DECIMALS = 9
 def triangulate_geographic(
     sightings: pd.DataFrame, settings: TriangulationSettings
 ) -> pd.DataFrame:
-    """Poles by our method, kept ones only.
+    """Poles by the method that the settings name, kept ones only.
 
     Parameters
     ----------
@@ -35,7 +35,9 @@ def triangulate_geographic(
     columns `COLUMNS`; ``sigma_m`` is the longer semi-axis of the 1-sigma error ellipse
     """
     rows: list[np.ndarray] = []
-    reach_m = FURTHEST_CAMERAS * settings.max_distance_m
+    sweep = settings.method == "sweep"
+    farthest_m = settings.sweep_distance_m if sweep else settings.max_distance_m
+    reach_m = FURTHEST_CAMERAS * farthest_m
     lat, lon = sightings["lat"].to_numpy(np.float64), sightings["lon"].to_numpy(np.float64)
     for part in neighbourhoods(lat, lon, reach_m):
         frame = TangentFrame(lat[part], lon[part])

@@ -11,6 +11,7 @@ from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.triangulate.explain import explain_rays
 from roadsight.poles.triangulate.listed import choose_listed
 from roadsight.poles.triangulate.pole_doubts import UNDER_CROWN
+from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
 POLE_COLUMNS = [
@@ -43,7 +44,8 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     Parameters
     ----------
     settings : their method is ``listing``: all groups, by their misfit alone, slower and less sure;
-        else groups by the evidence for them.
+        ``sweep``: the pole study's, which states no errors (NaN) and withholds nothing; else groups
+        by the evidence for them.
 
     Returns
     -------
@@ -54,6 +56,8 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
     scale : what depths were multiplied by; 1 if not calibrated.
     """
+    if settings.method == "sweep":
+        return *_swept(rays, settings), 1.0
     if settings.method == "listing":
         groups, places, covariances, scale = choose_listed(rays, settings)
         evidence = np.full(len(groups), np.nan)
@@ -67,6 +71,18 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
         pole[members] = number
     poles = describe_groups(groups, places, covariances, settings)
     return poles.assign(evidence=evidence), pole, scale
+
+
+def _swept(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints]:
+    """Poles by the pole study's method, from west to east, and the pole of each ray."""
+    labels, places = swept_poles(rays, settings)
+    order = np.lexsort((places[:, 1], places[:, 0]))
+    number = np.append(np.argsort(order), -1)
+    unknown = dict.fromkeys(POLE_COLUMNS[3:-2], np.nan)
+    views = np.bincount(labels[labels >= 0], minlength=len(places))
+    poles = pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "score": views}).iloc[order]
+    poles = poles.reset_index(drop=True).assign(**unknown, kept=True, reason="", evidence=np.nan)
+    return poles.astype({"kept": bool, "reason": object}), number[labels]
 
 
 def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:

@@ -57,10 +57,13 @@ def _merge_few(
     return groups
 
 
-def follows_sequence(rays: Rays, members: Ints, settings: TriangulationSettings) -> bool:
+def follows_sequence(
+    rays: Rays, members: Ints, sequence_m: float, still_deg: float = _STILL_DEG
+) -> bool:
     """Whether rays of one route show a pole that the vehicle comes nearer to and passes.
 
-    Consecutive images lie within ``sequence_m``, depths do not grow and bearings turn one way.
+    Consecutive images lie within ``sequence_m``, depths do not grow and bearings turn one way, but
+    for turns of less than ``still_deg``.
     """
     route, sequence = rays.route[members], rays.sequence[members]
     if (route < 0).any() or len(set(route.tolist())) > 1 or (sequence < 0).any():
@@ -69,9 +72,9 @@ def follows_sequence(rays: Rays, members: Ints, settings: TriangulationSettings)
     steps_m = np.hypot(*np.diff(rays.camera_m[members], axis=0).T)
     depth, bearing = rays.depth_m[members], rays.bearing_deg[members]
     turns = (np.diff(bearing) + 180.0) % 360.0 - 180.0
-    one_way = (turns >= -_STILL_DEG).all() or (turns <= _STILL_DEG).all()
+    one_way = (turns >= -still_deg).all() or (turns <= still_deg).all()
     nearer = bool((np.diff(depth[np.isfinite(depth)]) <= 0).all())
-    return bool((steps_m <= settings.sequence_m).all() and one_way and nearer)
+    return bool((steps_m <= sequence_m).all() and one_way and nearer)
 
 
 def places_of(points: Points, groups: list[Ints]) -> tuple[Floats, Floats]:
@@ -107,7 +110,7 @@ def _first_merge(
         members = np.concatenate([groups[first], groups[second]])
         if len(set(rays.image[members].tolist())) < len(members):
             continue
-        if chi2[number] > SAME_CHI2 and not follows_sequence(rays, members, settings):
+        if chi2[number] > SAME_CHI2 and not follows_sequence(rays, members, settings.sequence_m):
             continue
         if _misfit(points, members) <= 0.5 * settings.gate_chi2 * len(members):
             return first, second

@@ -1,8 +1,8 @@
-"""The published method: links between rays, chosen by an energy, then clusters of crossings.
+"""The published methods: links between rays, chosen by an energy, then clusters of crossings.
 
 Each ray prefers partners whose crossing agrees with its depth, few of them spread in depth, and
-pays for having none (Krylov et al. 2018, eq. 4). Paper 2 visits the links in a fixed order until
-nothing changes; the first code visited them at random.
+pays for having none (Krylov et al. 2018, eq. 4). The first code visits the links at random. The
+pole study (section 3.4) visits each once, in order, and merges clusters along the drive.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.poles.triangulate.merging import follows_sequence
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
@@ -34,9 +35,8 @@ _DEPTH_IF_UNKNOWN = 5.0
 """Depth of a ray that has none, in the unit of depths."""
 _SWEEPS = 15
 """Visits of each ray on average, as in the first code."""
-_MOST_SWEEPS = 1000
-"""Turns over all links at most, a bound only: the energy falls with every switch, so that turns end
-anyhow."""
+_MIN_BASELINE_M = 0.5
+"""Cameras nearer to each other than this count as one place (both codes)."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,15 @@ class Energy:
     ----------
     depth_weight : alpha, for each |crossing's distance - monocular depth|.
     spread_weight : beta, for the largest less the smallest distance of a ray's crossings.
-    lonely : of a ray without partner.
     """
 
     depth_weight: float
     spread_weight: float
-    lonely: float = 0.6
+
+    @property
+    def lonely(self) -> float:
+        """Energy of a ray without partner: 1 - alpha - beta."""
+        return max(1.0 - self.depth_weight - self.spread_weight, 0.0)
 
 
 FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)
@@ -74,37 +77,42 @@ class Links:
     place_m: Floats
 
 
-def find_links(rays: Rays, settings: TriangulationSettings, unit_m: float = 1.0) -> Links:
+def find_links(
+    rays: Rays, farthest: float, unit_m: float = 1.0, min_baseline_m: float = _MIN_BASELINE_M
+) -> Links:
     """Crossings ahead of both cameras and within the maximum distance of both.
 
     Parameters
     ----------
+    farthest : maximum distance, units. min_baseline_m : of two cameras at least.
     unit_m : metres in the unit in which depths and the maximum distance count. In the published
         code this is not the metre, but the cameras' distance is in metres.
     """
-    apart_m = FURTHEST_CAMERAS * settings.max_distance_m
+    apart_m = FURTHEST_CAMERAS * farthest
     pairs = cKDTree(rays.camera_m).query_pairs(apart_m, output_type="ndarray").astype(np.int64)
     pairs.sort(axis=1)
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     gap_m = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
-    pairs = pairs[gap_m >= settings.min_baseline_m]
+    pairs = pairs[gap_m >= min_baseline_m]
     along_m, place_m = cross_rays(rays, pairs)
     along = along_m / unit_m
     # Comparisons with NaN are false, so parallel rays drop out.
-    good = ((along > 0) & (along <= settings.max_distance_m)).all(axis=1)
+    good = ((along > 0) & (along <= farthest)).all(axis=1)
     return Links(pairs[good], along[good], place_m[good])
 
 
 def sweep_links(
     links: Links, depth: Floats, energy: Energy, rng: np.random.Generator | None = None
 ) -> Bools:
-    """Which links are on at a local minimum of the energy.
+    """Which links are on after a search for a low energy.
+
+    A link that is visited is switched if the energy of its two rays does not rise.
 
     Parameters
     ----------
     depth : of each ray, NaN where unknown.
     rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
-        first, then one of its links; None visits all links in turn until none changes.
+        first, then one of its links; None visits each link once, in order, as the pole study does.
     """
     depth = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth)
     state = _State(links, depth, energy)
@@ -113,10 +121,8 @@ def sweep_links(
             if len(state.of_ray[ray]):
                 state.visit(state.of_ray[ray][rng.integers(0, len(state.of_ray[ray]))])
         return state.on
-    for _ in range(_MOST_SWEEPS):
-        changed = [state.visit(link, strictly=True) for link in range(len(links.pairs))]
-        if not any(changed):
-            break
+    for link in range(len(links.pairs)):
+        state.visit(link)
     return state.on
 
 
@@ -134,15 +140,13 @@ class _State:
         self._depth = depth.tolist()
         self._energy = energy
 
-    def visit(self, link: int, strictly: bool = False) -> bool:
-        """Switch a link if the energy of its two rays does not rise; True if switched."""
+    def visit(self, link: int) -> None:
+        """Switch a link if the energy of its two rays does not rise."""
         before = sum(self._of(ray) for ray in self._pairs[link])
         self.on[link] = not self.on[link]
         after = sum(self._of(ray) for ray in self._pairs[link])
-        if after < before or (after == before and not strictly):
-            return True
-        self.on[link] = not self.on[link]
-        return False
+        if after > before:
+            self.on[link] = not self.on[link]
 
     def _of(self, ray: int) -> float:
         """Energy of one ray."""
@@ -213,20 +217,65 @@ def published_poles(
     as `cluster_rays`
     """
     narrow = float(np.cos(np.radians(latitude_deg)))
-    far = settings.model_copy(update={"min_baseline_m": settings.min_baseline_m / _EARTH_RATIO})
-    links = find_links(rays, far, UNIT_M * narrow)
+    least_m = _MIN_BASELINE_M / _EARTH_RATIO
+    links = find_links(rays, settings.max_distance_m, UNIT_M * narrow, least_m)
     on = sweep_links(links, rays.depth_m, FIRST_CODE, np.random.default_rng(seed))
     diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))
     return cluster_rays(links, on, len(rays), diagonal, np.array([1 / narrow, 1.0]))
 
 
-def swept_poles(
-    rays: Rays, settings: TriangulationSettings, energy: Energy | None = None
-) -> tuple[Ints, Floats]:
-    """Poles by the second paper's deterministic sweep, in metres; as `cluster_rays`."""
-    links = find_links(rays, settings)
-    different = rays.image[links.pairs[:, 0]] != rays.image[links.pairs[:, 1]]
+def swept_poles(rays: Rays, settings: TriangulationSettings) -> tuple[Ints, Floats]:
+    """Poles by the pole study's deterministic method, in metres (section 3.4); as `cluster_rays`.
+
+    Rays are taken in the order of the drive, as the authors' file has them, so that the order of
+    links is theirs. Their unit of distance, which is not the metre, is not followed.
+    """
+    order = np.lexsort((rays.sequence, rays.route))
+    driven = rays.take(order)
+    links = find_links(driven, settings.sweep_distance_m)
+    different = driven.image[links.pairs[:, 0]] != driven.image[links.pairs[:, 1]]
     links = Links(links.pairs[different], links.along[different], links.place_m[different])
-    own = energy or Energy(settings.depth_weight, settings.spread_weight)
-    on = sweep_links(links, rays.depth_m, own)
-    return cluster_rays(links, on, len(rays), settings.cluster_m)
+    energy = Energy(settings.depth_weight, settings.spread_weight)
+    on = sweep_links(links, driven.depth_m, energy)
+    own, places = cluster_rays(links, on, len(rays), settings.cluster_m)
+    own, places = merge_along_drive(driven, own, places, settings.sequence_m)
+    labels = np.empty(len(rays), np.int64)
+    labels[order] = own
+    return labels, places
+
+
+def merge_along_drive(
+    rays: Rays, labels: Ints, places_m: Floats, sequence_m: float
+) -> tuple[Ints, Floats]:
+    """Clusters after the study's rule for one pole that became several (section 3.4).
+
+    Two clusters are one pole if the images of both together follow each other within
+    ``sequence_m``, depths do not grow and bearings turn one way. Nothing else is asked, and what
+    merges with a third one is one pole with both. That clusters which share an image are not
+    merged is not in the text: one image shows a pole once.
+
+    Parameters
+    ----------
+    labels : (n,) cluster of each ray, -1 for none. places_m : (k, 2) of each cluster.
+
+    Returns
+    -------
+    as `cluster_rays`
+    """
+    used = np.flatnonzero(labels >= 0)
+    near = cKDTree(rays.camera_m[used]).query_pairs(sequence_m, output_type="ndarray")
+    pairs = np.unique(np.sort(labels[used[near]], axis=1), axis=0) if len(near) else near
+    members = [np.flatnonzero(labels == number) for number in range(len(places_m))]
+    same = np.zeros(len(pairs), bool)
+    for number, (one, other) in enumerate(pairs.tolist()):
+        both = np.concatenate([members[one], members[other]])
+        if one != other and len(set(rays.image[both].tolist())) == len(both):
+            same[number] = follows_sequence(rays, both, sequence_m, still_deg=0.0)
+    graph = csr_array((np.ones(same.sum()), pairs[same].T), shape=(len(places_m),) * 2)
+    count, merged = connected_components(graph, directed=False)
+    sizes = np.array([len(own) for own in members], np.float64)
+    weight = np.bincount(merged, sizes, minlength=count)
+    means = [np.bincount(merged, sizes * axis, minlength=count) / weight for axis in places_m.T]
+    joined = np.full(len(labels), -1, np.int64)
+    joined[used] = merged[labels[used]]
+    return joined, np.column_stack(means)

@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Ints
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS
-from roadsight.poles.triangulate.groups import locate_points
-from roadsight.poles.triangulate.locate import describe_groups, triangulate
-from roadsight.poles.triangulate.merging import merge_groups, places_of
+from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
-from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
 SIGHTING_COLUMNS = (
@@ -98,17 +95,14 @@ def site_poles(
         rays = _rays(sightings.iloc[rows])
         reaching = settings
         panel = kind in KINDS and KINDS[kind].shape == "panel"
-        if "anchored" in sightings:
+        if "anchored" in sightings and settings.method != "sweep":
             # Few other things look like panels: groups of their far rays are mostly signs.
             most_m = settings.max_sigma_m if panel else FAR_SIGMA_M
             reaching = far_reaching(sightings.iloc[rows], settings, most_m)
             if panel:
                 needed = settings.pole_evidence + _PANEL_EVIDENCE
                 reaching = reaching.model_copy(update={"pole_evidence": needed})
-        if settings.method == "sweep":
-            poles, own = _sweep(rays, reaching)
-            scales[kind] = 1.0
-        elif panel:
+        if panel and settings.method != "sweep":
             poles, own, scales[kind] = near_and_far(rays, reaching)
         else:
             poles, own, scales[kind] = triangulate(rays, reaching)
@@ -152,19 +146,6 @@ def _rays(sightings: pd.DataFrame) -> Rays:
         if set(parts) <= set(sightings):
             columns[name] = sightings[list(parts)].to_numpy(np.float64)
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
-
-
-def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints]:
-    """Poles by the second paper's method; the place of each is weighted by its rays' errors."""
-    labels, _ = swept_poles(rays, settings)
-    groups = [np.flatnonzero(labels == number) for number in range(labels.max(initial=-1) + 1)]
-    points = locate_points(rays, settings)
-    groups = merge_groups(rays, points, groups, settings)
-    pole = np.full(len(rays), -1, np.int64)
-    for number, members in enumerate(groups):
-        pole[members] = number
-    poles = describe_groups(groups, *places_of(points, groups), settings)
-    return poles.assign(evidence=np.nan), pole
 
 
 def _empty() -> pd.DataFrame:

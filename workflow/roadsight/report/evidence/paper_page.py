@@ -24,7 +24,7 @@ _ABOUT = {
     "Fig. 18": "Sensors of each plan. The text repeats five of the bars in the figure; the others"
     " are left empty.",
     "Fig. 19": "Time of one candidate: its depth map and its row of the detection matrix. The"
-    " study's curves have no numbers in the text. By default the product that is sold is simulated.",
+    " study's curves have no numbers in the text. The default is of the product as sold.",
     "Fig. 20": "Sensors by the U-Net's depth maps, and their mean distance to the nearest sensor of"
     " the baseline, which is Algorithm 1. The study reports distances above 3 m at all sites.",
     "Table 1": "F1 at 3 m when one component is left out. The study gives no numbers.",

@@ -72,7 +72,9 @@ def measure_paper(
     shutil.rmtree(variant.folder)
 
 
-def _placement(folder: Path, records: Sequence[JobRecord], plans: Sequence[str]) -> dict[str, Any]:
+def _placement(
+    folder: Path, records: Sequence[JobRecord], plans: Sequence[str], lane_width_m: float
+) -> dict[str, Any]:
     """Facts of the site, its pavement, its plans, and the time of a candidate by sensor."""
     scores = folder / "scene/pavement_scores.json"
     maps = sorted((folder / "placement/round-0/depth").glob("*/0.parquet"))

@@ -31,7 +31,6 @@ from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camer
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import CX, FOCAL, pose_of
-from roadsight.poles.alignment.published import PUBLISHED_BOUNDS, nelder_mead
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
     OTHER_THINGS,
@@ -60,6 +59,7 @@ from roadsight.stages.poles.shared.dense_inputs import (
     method_of,
     turned_axes,
 )
+from roadsight.stages.poles.shared.published_inputs import PublishedScene
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
@@ -125,12 +125,12 @@ def align_cameras(
     limits = Limits(
         residual_px=accepted.max_residual_px, sigma_heading_deg=accepted.max_sigma_heading_deg
     )
-    bounds = (accepted.bound_m, accepted.bound_deg)
     dealt = shard.dealt(read_table(files.frames, ["image"])["image"])
     own = [p for p in scene.places if p.image in dealt]
     by_hand = read_corrections(corrections, files)
     method = method_of(given.method, bool(scene.lenses))
     dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
+    published = PublishedScene(files, scene) if method == "published" else None
     rows: list[dict[str, Any]] = []
     reasons: dict[str, list[str]] = {}
     by_others: list[str] = []
@@ -139,17 +139,20 @@ def align_cameras(
             rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
             continue
         drive = _drive(drives, place)
-        task = scene.load(place)(*drive.expected(place))
-        if dense is None:
+        if published is not None:
+            row = published.row(place, drive, accepted)
+        elif dense is not None:
+            row = dense_aligned(dense, place, scene.load(place)(*drive.expected(place)), limits)
+        else:
+            task = scene.load(place)(*drive.expected(place))
             centre = drive.by_centre(place), drive.sigma_cy_px
-            row = aligned(task, method, limits, scene.landmarks, bounds, centre)
+            row = aligned(task, method, limits, scene.landmarks, centre)
             if method == "road" and row["accepted"] and not row["edge_points"]:
                 by_others.append(place.image)
             if place.image in scene.lenses:
                 row["focal_px"] = scene.lenses[place.image].focal_px
-        else:
-            row = dense_aligned(dense, place, task, limits)
-        if reason := implausible(drive.mount, place.start.width_px):
+        reason = implausible(drive.mount, place.start.width_px)
+        if reason and published is None:
             row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
         reasons.setdefault(place.route, []).append(str(row["reason"]))
@@ -211,17 +214,16 @@ def aligned(
     method: str,
     limits: Limits,
     noise: LandmarkNoise | None = None,
-    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
     centre: tuple[Floats, float] | None = None,
 ) -> dict[str, Any]:
-    """Pose, uncertainty and verdict of one image by the method road, published or none.
+    """Pose, uncertainty and verdict of one image by the method road or none.
 
     An image without an alignment keeps the expected pose.
 
     Parameters
     ----------
-    bounds : of the published method, m and degrees. centre : what one standard deviation of the
-    principal point's column moves (k,) in the expectation, and that of its row, px; None if known.
+    centre : what one standard deviation of the principal point's column moves (k,) in the
+    expectation, and that of its row, px; None if known.
     """
     expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
     nothing = np.full((len(task.image_edges.uv_px), 2), np.nan)
@@ -232,16 +234,6 @@ def aligned(
     if method == "road" and not reason:
         task, fits, reason = judged(task, noise, limits)
         fit = fits[0]
-    elif method == "published" and not reason:
-        unknowns, rms_px = nelder_mead(
-            task.start,
-            task.image_edges,
-            task.map_edges,
-            task.prior_mean,
-            bound_m=bounds[0],
-            bound_deg=bounds[1],
-        )
-        fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     row = _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
     return row | {"one_sided": one_sided}
 

@@ -21,7 +21,7 @@ from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
-from roadsight.poles.alignment.pose import CX, Spread
+from roadsight.poles.alignment.pose import CX, FOCAL, UNKNOWNS, Spread
 from roadsight.poles.calibration.calibration import (
     Loader,
     Mount,
@@ -88,7 +88,9 @@ def calibrate_drives(
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
         lenses = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
         prior = _prior(key, settings, baselines, lenses)
-        if dense is not None:
+        if method == "published":
+            calibration = _registered(key, settings, baselines, baseline)
+        elif dense is not None:
             calibration = _densely(key, [p for p, _ in images], settings, prior, dense)
         else:
             known = bool(lenses) or settings.hfov_deg or _baseline(key, baselines)
@@ -110,6 +112,37 @@ def calibrate_drives(
 def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
     found: dict[str, Any] | None = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
     return found
+
+
+def _registered(
+    key: Key, settings: Calibration, baselines: dict[str, Any], path: str | None
+) -> DriveCalibration:
+    """The registered camera alone: the pole study finds nothing that a drive shares.
+
+    Raises
+    ------
+    InputError : there is none of this image size, or one of its numbers is missing.
+    """
+    found = _baseline(key, baselines) or {}
+    lens = {"log_focal"} if {"focal_px", "hfov_deg"} & set(found) else set()
+    if missing := [n for n in UNKNOWNS[: FOCAL + 1] if n not in found and n not in lens]:
+        size = f"{key[1]}x{key[2]}"
+        raise InputError(
+            "the published alignment starts from a registered camera of each image size",
+            where=f"{path or 'poles.baseline'}: {size}",
+            found=f"no {', '.join(missing)}"
+            if found
+            else f"sizes {', '.join(baselines) or 'none'}",
+            hint=f"register an image of {size} px: roadsight register, or the studio",
+        )
+    weak = weak_mount(settings.hfov_deg or None, key[1], settings.principal_point_px)
+    mount = with_centre_held(baseline_mount(found, weak, key[1]))
+    return DriveCalibration(key, mount, Spread(), _no_drift(settings), {})
+
+
+def _no_drift(settings: Calibration) -> Drift:
+    model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
+    return Drift(np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), model)
 
 
 def _prior(
@@ -154,9 +187,7 @@ def _densely(
         log.warning("%s: %s", key[0], problem)
     else:
         mount, _ = calibrate_dense([scene.loader(place) for place in chosen], prior, spread)
-    model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
-    drift = Drift(np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), model)
-    return DriveCalibration(key, mount, spread, drift, {}, problem)
+    return DriveCalibration(key, mount, spread, _no_drift(settings), {}, problem)
 
 
 def _calibrated(

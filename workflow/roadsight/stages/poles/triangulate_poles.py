@@ -110,7 +110,8 @@ def triangulate_poles(
     parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
-    network = network_scales(sightings)
+    published = settings.method == "sweep"
+    network = [] if published else network_scales(sightings)
     sightings = with_scales(sightings, network)
     sightings = sightings.assign(anchored=sightings["depth_lidar_m"].notna())
     poles, pole_of, scales = site_poles(sightings, settings)
@@ -120,7 +121,8 @@ def triangulate_poles(
         name: voxels_m[~np.isin(voxel_class, classes)]
         for name, classes in (("crowns", _NO_CROWN), ("firm", _NOT_FIRM))
     }
-    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, shown, ground)
+    if not published:  # which withholds by the clearance below alone
+        poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, shown, ground)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
         limits = pole_doubts(sightings, network, far_reaching(own, settings))
@@ -262,7 +264,8 @@ def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
 
 
 def _ellipses(poles: pd.DataFrame) -> gpd.GeoDataFrame:
-    """1-sigma ellipses as polygons."""
+    """1-sigma ellipses as polygons, of poles that have errors."""
+    poles = poles[poles["sigma_major_m"].notna()]
     turn = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
     azimuth = np.radians(poles["sigma_azimuth_deg"].to_numpy(np.float64))[:, None]
     major = poles["sigma_major_m"].to_numpy(np.float64)[:, None] * np.cos(turn)

@@ -16,6 +16,7 @@ from roadsight.base.sections.run import Run
 from roadsight.base.sections.sample import RuralScene, RuralSurvey, Sample
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.images.videolog_shards import write_csv
+from roadsight.io.records.atomic import write_json
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.command import Command
 from roadsight.synthetic.rendering.images import RuralRenderer
@@ -33,6 +34,7 @@ from roadsight.synthetic.rural.videolog_tables import (
     VIDEOLOG_DECIMALS,
     camera_table,
     pole_table,
+    registered_cameras,
     videolog_table,
 )
 
@@ -52,6 +54,7 @@ def generate_rural(
     poles: Annotated[Path, "CSV of every post to write"],
     videolog: Annotated[Path, "CSV of the images to write"],
     cameras: Annotated[Path, "CSV of the true cameras to write"],
+    baseline: Annotated[Path, "JSON of a camera of each image size to write, rounded"],
 ) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
     site = build_rural(seed, length_m, scene=scene)
@@ -72,9 +75,11 @@ def generate_rural(
         principal_point_px=scene.principal_point_px,
         gps=drifting(survey.gps_drift_m) if survey.gps_drift_m else GpsNoise(),
     )
-    places = [place for drive in drives for place in shots(site, drive, seed)]
+    driven = [shots(site, drive, seed) for drive in drives]
+    places = [place for drive in driven for place in drive]
     write_csv(videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)
     write_csv(cameras, camera_table(site, places), CAMERA_DECIMALS)
+    write_json(baseline, registered_cameras(site, driven))
     logging.info("%d points, %d places, %d posts", len(xyz_m), len(places), len(site.poles))
 
 

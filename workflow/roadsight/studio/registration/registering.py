@@ -14,15 +14,13 @@ from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.poles.alignment.drive import Place
-from roadsight.poles.alignment.published import squared_gaps
+from roadsight.poles.alignment.published import WINDOW_PX, by_row, window_squares
 from roadsight.poles.calibration.registration import Registration, is_flat, register_camera
 from roadsight.studio.cloud.levels import level_of_points
 from roadsight.studio.edges.shapes import Metre, Shape
 from roadsight.studio.project import CLOUD, DEM, SiteFolder
 from roadsight.studio.registration.drive import POSE, SiteDrive
 
-WINDOW_PX = 300.0
-"""Points further from every pixel of an edge do not count."""
 _BESIDE_M = 5.0
 """Points nearer than this are sent in all directions, because a camera that is moved may come to
 see them."""
@@ -110,9 +108,9 @@ def image_content(drive: SiteDrive, number: int) -> dict[str, Any]:
 def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> dict[str, Any]:
     """Distance of the cloud's edges from the image's: typical, and root mean square by side.
 
-    Each projected edge point counts with the nearest edge pixel of its own side within a window, as
-    in the published alignment; None where nothing is near. Edges that the image does not show (a
-    crest, a crossing) weigh on the mean square; the median is what fits by eye.
+    Each projected edge point in the image counts with the nearest edge pixel of its own side within
+    the window of the published alignment; None where nothing is near. Edges that the image does not
+    show (a crest, a crossing) weigh on the mean square; the median is what fits by eye.
     """
     image_edges, map_edges = drive.scene.edges_of(place)
     start = place.start
@@ -128,7 +126,9 @@ def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> d
     ):
         first = ("left", "right").index(side)
         pixels = np.concatenate([_group(image_edges, first), _group(image_edges, first + 2)])
-        gained, near = squared_gaps(uv[part][inside[part]], pixels, WINDOW_PX)
+        squares = window_squares(uv[part][inside[part]], by_row(pixels), WINDOW_PX, WINDOW_PX)
+        squares = squares[np.isfinite(squares)]
+        gained, near = float(squares.sum()), len(squares)
         every.append(_gaps(uv[part][inside[part]], pixels))
         found[f"{side}_px"] = float(np.sqrt(gained / near)) if near else None
         total, count = total + gained, count + near

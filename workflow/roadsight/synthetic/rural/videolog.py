@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
 from roadsight.base.sections.sample import RuralScene
-from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, compass_deg
+from roadsight.geometry.cameras import (
+    Intrinsics,
+    attitude_deg,
+    cam_from_world,
+    compass_deg,
+    wrap_deg,
+)
 from roadsight.synthetic.rendering.images import Camera
 from roadsight.synthetic.rural.rural_road import RuralSite
 
@@ -250,6 +256,12 @@ def vehicle_rotation(
 def mounted(base: Floats, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Floats:
     """Rotation of a camera turned against another: right about its vertical, up, right side up."""
     return cam_from_world(yaw_deg, pitch_deg, roll_deg) @ _UP_FROM_CAMERA @ base
+
+
+def mount_of(camera: Camera, base: Floats) -> tuple[float, float, float]:
+    """Yaw, pitch and roll of a camera against another rotation, degrees; inverse of `mounted`."""
+    yaw, pitch, roll = attitude_deg(camera.rotation @ base.T @ _UP_FROM_CAMERA.T)
+    return float(wrap_deg(yaw)), float(pitch), float(roll)
 
 
 def attitude_of(camera: Camera) -> tuple[float, float, float]:

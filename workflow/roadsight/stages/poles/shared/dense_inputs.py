@@ -65,8 +65,17 @@ def method_of(stated: str, lens_is_known: bool) -> str:
 
     Raises
     ------
-    InputError : the dense method is asked for, but no lens is known.
+    InputError : the dense method is asked for, but no lens is known; or the published one, which
+        has that of its registered camera, and a lens is known.
     """
+    if stated == "published" and lens_is_known:
+        raise InputError(
+            "the published alignment keeps the lens of its registered camera",
+            where="alignment.method",
+            found="published, and a known lens (poles.intrinsics, --intrinsics)",
+            allowed="one of both",
+            hint="leave the known lens out, or align with it: dense",
+        )
     if stated == "dense" and not lens_is_known:
         raise InputError(
             "needs a known lens",
