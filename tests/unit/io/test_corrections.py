@@ -31,9 +31,7 @@ def test_a_change_shows_in_one_shard_only(table):
     before = [corrections_of(table, own) for own in OWN]
     table.write_text(table.read_text().replace(f"{NAMES[7]},7", f"{NAMES[7]},8"))
     after = [corrections_of(table, own) for own in OWN]
-    assert [a != b for a, b in zip(before, after, strict=True)] == [
-        NAMES[7] in own for own in OWN
-    ]
+    assert [a != b for a, b in zip(before, after, strict=True)] == [NAMES[7] in own for own in OWN]
 
 
 def test_a_table_without_images_is_told(tmp_path):
