@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.sources import stage_module
 from roadsight.io.records.tables import read_table
+from tests.properties.stage_calls import StageCalls
 
 SENSORS = str(Path(__file__).resolve().parents[2] / "config/sensors.yaml")
 SENSOR = "OS-32"
@@ -85,7 +84,7 @@ def _upright(rng, length_m, height_m):
     )
 
 
-class PlacementJob:
+class PlacementJob(StageCalls):
     """Runs the job in a folder; results are read from there.
 
     Parameters
@@ -94,16 +93,8 @@ class PlacementJob:
     """
 
     def __init__(self, folder: Path, tile_size_m: float = 64.0, shards: int = 1) -> None:
-        self.folder, self.tile_size_m, self.shards = folder, tile_size_m, shards
-        folder.mkdir(parents=True)
-
-    def path(self, name: str) -> str:
-        """Path of an artifact."""
-        return str(self.folder / name)
-
-    def _stage(self, stage: str, *options: str, **files: str) -> None:
-        named = [p for key, name in files.items() for p in (f"--{key}", self.path(name))]
-        assert importlib.import_module(stage_module(stage)).main([*named, *options]) == 0
+        super().__init__(folder)
+        self.tile_size_m, self.shards = tile_size_m, shards
 
     def run(self, street: Street) -> PlacementJob:
         """All stages from the cloud to the proven cover of one plan."""

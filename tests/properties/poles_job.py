@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,9 +12,9 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
-from roadsight.io.records.sources import stage_module
 from roadsight.io.records.tables import read_table
 from roadsight.poles.images.classes import PixelClass
+from tests.properties.stage_calls import StageCalls
 
 LABELS = str(Path(__file__).resolve().parents[2] / "resources/manifests/labels_project.yaml")
 LENS = Intrinsics.from_field_of_view(800, 480, 60.0)
@@ -136,7 +135,7 @@ def _draw_poles(mask, inverse, poles, rotation, at) -> None:
         inverse[one > 0] = 1.0 / depth[0]
 
 
-class PolesJob:
+class PolesJob(StageCalls):
     """Runs the job in a folder.
 
     Parameters
@@ -145,21 +144,9 @@ class PolesJob:
     """
 
     def __init__(self, folder: Path, shown, tile_size_m: float = 64.0, shards: int = 1) -> None:
-        self.folder, self._shown = folder, shown
+        super().__init__(folder)
+        self._shown = shown
         self._tile_size_m, self._shards = tile_size_m, shards
-        folder.mkdir(parents=True)
-
-    def path(self, name: str) -> str:
-        """Path of an artifact."""
-        return str(self.folder / name)
-
-    def _stage(self, stage: str, *options: str, **files: str) -> None:
-        named = [
-            part
-            for key, name in files.items()
-            for part in (f"--{key.replace('_', '-')}", self.path(name))
-        ]
-        assert importlib.import_module(stage_module(stage)).main([*named, *options]) == 0
 
     def run(self, lane: Lane) -> PolesJob:
         """All stages from the cloud and the videolog to the poles."""

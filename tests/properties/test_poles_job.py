@@ -71,6 +71,16 @@ def test_order_tiles_and_shards_keep_the_poles(run, lane, here):
     assert_same(job, lane, here, lane, apart_m=1e-6, turn_deg=1e-6)
 
 
+@pytest.mark.parametrize("images", [2, 5])
+def test_a_drive_of_fewer_images_than_shards(tmp_path, images):
+    """Each shard has an image at most, and every stage takes those without."""
+    lane, shown = make_lane(images=images)
+    job = PolesJob(tmp_path / "job", shown, shards=7).run(lane)
+    assert job.cameras["image"].tolist() == [f"i{number:03d}.png" for number in range(images)]
+    assert job.cameras["accepted"].all()
+    assert len(job.poles(lane)) >= 1
+
+
 def test_repeated_points_keep_the_poles(run, lane, here):
     rows = np.concatenate([np.arange(len(lane.xyz)), np.arange(0, len(lane.xyz), 7)])
     assert_same(run(lane.rows(rows)), lane, here, lane)

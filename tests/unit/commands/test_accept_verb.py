@@ -34,13 +34,12 @@ OWN = Frame((0.0, 0.0, 0.0), 1.0, 1.0, FRAME.crs_wkt)
 """A scan in the sensor's own frame: metres from its centre."""
 
 
-@pytest.fixture
-def accept(tmp_path, capsys):
-    """Runs the verb on a plan of one sensor, `tmp_path` being its results."""
-    plan = tmp_path / "placement" / "p"
+def write_plan(folder):
+    """A plan of one sensor amid its results in a folder, and its sensors file; gives the plan."""
+    plan = folder / "placement" / "p"
     plan.mkdir(parents=True)
-    (tmp_path / "scene").mkdir()
-    write_json(tmp_path / "scene" / "frame.json", FRAME.to_dict())
+    (folder / "scene").mkdir()
+    write_json(folder / "scene" / "frame.json", FRAME.to_dict())
     place = dict(zip("xyz", PLACE_M.tolist(), strict=True)) | {"yaw_deg": 30.0}
     write_json(
         plan / "solution.json", {"sensors": [place | {"sensor": "mine", "candidate": "left-1"}]}
@@ -51,8 +50,14 @@ def accept(tmp_path, capsys):
     points = scan(PLACE_M, street(0))
     source = {"point_source_id": np.ones(len(points), np.uint16)}
     write_laz(plan / "scans.laz", points, FRAME, source)
+    write_json(folder / "sensors.yaml", SENSORS)  # JSON is YAML
+    return plan
 
-    write_json(tmp_path / "sensors.yaml", SENSORS)  # JSON is YAML
+
+@pytest.fixture
+def accept(tmp_path, capsys):
+    """Runs the verb on a plan of one sensor, `tmp_path` being its results."""
+    plan = write_plan(tmp_path)
 
     def run(points, frame, *options):
         write_laz(tmp_path / "scan.laz", points, frame)

@@ -84,7 +84,16 @@ def _message(
     hint = renamed(field, first["input"])
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
         hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
-    return InputError(f"{field or 'file'}: {message}", where=where, found=shown, hint=hint)
+    # A number or a word: the words are told too.
+    words = [
+        part["ctx"]["expected"]
+        for part in error.errors()
+        if part["type"] == "literal_error" and part["loc"][:-1] == first["loc"][:-1]
+    ]
+    allowed = f"or {' or '.join(words)}" if words and first["type"] != "literal_error" else None
+    return InputError(
+        f"{field or 'file'}: {message}", where=where, found=shown, allowed=allowed, hint=hint
+    )
 
 
 def _keys_of(content: Any, loc: tuple[int | str, ...]) -> list[str]:
