@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +12,16 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
+from roadsight.base.sections.poles import (
+    AlignmentLimits,
+    AlignmentMethod,
+    EdgeTracing,
+    RoadEdges,
+    Sightings,
+    Triangulation,
+    Videolog,
+    Voxels,
+)
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
 from roadsight.io.records.tables import read_table
 from roadsight.poles.images.classes import PixelClass
@@ -135,18 +146,58 @@ def _draw_poles(mask, inverse, poles, rotation, at) -> None:
         inverse[one > 0] = 1.0 / depth[0]
 
 
+TAKEN = {
+    "rasterise_lidar": ("voxels", (Voxels,)),
+    "extract_road_edges": ("road_edges", (RoadEdges,)),
+    "read_videolog": ("videolog", (Videolog,)),
+    "trace_image_edges": ("image_edges", (EdgeTracing,)),
+    "calibrate_drive": ("alignment", (AlignmentMethod,)),
+    "align_cameras": ("alignment", (AlignmentMethod, AlignmentLimits)),
+    "measure_poles": ("sightings", (Sightings,)),
+    "triangulate_poles": ("triangulation", (Triangulation,)),
+}
+"""Section of the settings that a stage takes, and which parts of it."""
+BASELINE = {
+    "800x480": {
+        "hfov_deg": 60.0, "along_m": 0.0, "lateral_m": 0.0, "height_m": HEIGHT_M,
+        "yaw_deg": 0.8, "pitch_deg": -3.1, "roll_deg": 0.3,
+    }
+}  # fmt: skip
+"""The camera as a person would register it, to 0.1 m and 0.1 degrees."""
+
+
 class PolesJob(StageCalls):
     """Runs the job in a folder.
 
     Parameters
     ----------
     folder : empty. shown : masks and depth of the images. tile_size_m, shards : of the run.
+    settings : by section, those that are not as usual.
     """
 
-    def __init__(self, folder: Path, shown, tile_size_m: float = 64.0, shards: int = 1) -> None:
+    def __init__(
+        self, folder: Path, shown, tile_size_m: float = 64.0, shards: int = 1, settings=None
+    ) -> None:
         super().__init__(folder)
-        self._shown = shown
+        self._shown, self._settings = shown, settings or {}
         self._tile_size_m, self._shards = tile_size_m, shards
+
+    def _stage(self, stage: str, *options: str, **files: str) -> None:
+        super()._stage(stage, *self._options(stage), *options, **files)
+
+    def _options(self, stage: str) -> list[str]:
+        """Options of the settings that a stage takes."""
+        section, parts = TAKEN.get(stage, ("", ()))
+        taken = {name for part in parts for name in part.model_fields} - {"landmarks", "ties"}
+        options = []
+        for name, value in self._settings.get(section, {}).items():
+            if name in taken:
+                values = value if isinstance(value, list) else [value]
+                options += [f"--{name.replace('_', '-')}", *map(str, values)]
+        if stage == "calibrate_drive" and self._settings.get(section, {}).get("method"):
+            (self.folder / "baseline.json").write_text(json.dumps(BASELINE))
+            options += ["--baseline", self.path("baseline.json")]
+        return options
 
     def run(self, lane: Lane) -> PolesJob:
         """All stages from the cloud and the videolog to the poles."""
@@ -244,7 +295,8 @@ class PolesJob(StageCalls):
             self._stage("measure_poles", *shard, *marked, frames="frames",
                         calibration="calibration", cameras=f"cameras{part}",
                         masks=f"masks{part}", depth=f"depth{part}", dem="dem.tif",
-                        columns="columns", frame="frame", out=f"sightings{part}")  # fmt: skip
+                        columns="columns", voxels="voxels", frame="frame",
+                        out=f"sightings{part}")  # fmt: skip
 
     @property
     def cameras(self) -> pd.DataFrame:

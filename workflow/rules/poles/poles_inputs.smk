@@ -55,9 +55,13 @@ def track_for_curbs(wildcards):
 
 
 def voxels_for_bearings(wildcards):
-    """Voxels, where bearings are those to the nearest of them, as published."""
-    lidar = SITES[wildcards.site].setting("sightings.bearing") == "lidar"
-    return [f"results/{wildcards.site}/poles/voxels.parquet"] if lidar else []
+    """Voxels, where bearings are those to the nearest of them, or depths are fitted to them."""
+    setting = SITES[wildcards.site].setting
+    asked = (
+        setting("sightings.bearing") == "lidar"
+        or setting("sightings.distance") == "published"
+    )
+    return [f"results/{wildcards.site}/poles/voxels.parquet"] if asked else []
 
 
 def objects_of_cloud(wildcards):

@@ -18,6 +18,7 @@ from roadsight.poles.sightings.sighting_bearing import (
     nearest_projected,
     with_place,
 )
+from roadsight.poles.sightings.sighting_depth import fit_front_depth
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
@@ -212,20 +213,44 @@ def test_a_tall_pole_behind_a_column_stays_where_its_foot_is_seen():
 
 
 def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
+    """However far off, and from where the videolog puts the camera."""
     points = np.array([[*place(350.0, 20.0), 0.0], [*place(350.3, 21.0), 3.0], [500.0, 0.0, 0.0]])
     uv, _ = project(CAMERA.intrinsics, CAMERA.rotation(), CAMERA.position_m, points)
-    box = np.array([[*(uv[0] - [4, 100]), *(uv[0] + 4)]])
-    bearing, distance = nearest_projected(CAMERA, points, uv[:1] + 1.0, box, 20.0)
-    assert (float(bearing[0]), float(distance[0])) == pytest.approx((350.0, 20.0))
-    aside, _ = nearest_projected(CAMERA, points, uv[:1] + 5.0, box + 5000.0, 20.0)
-    assert float(aside[0]) == pytest.approx(350.0)
-    nothing, _ = nearest_projected(CAMERA, points, uv[:1] + 500.0, box + 5000.0, 20.0)
-    assert np.isnan(nothing[0])
+    feet = np.array([uv[0] + 1.0, uv[0] + [0.0, 60.0], uv[1] - 1.0])
+    assert nearest_projected(CAMERA, points, feet).tolist() == [0, 0, 1]
+    assert nearest_projected(CAMERA, points[2:], feet).tolist() == [-1, -1, -1]
     mask, depth = rendered([place(350.0, 20.0)])
-    evidence = Evidence(level, NONE, points)
-    row = measure_view(CAMERA, mask, depth, evidence, Sightings(bearing="lidar")).iloc[0]
+    chosen = Sightings(bearing="lidar")
+    row = measure_view(CAMERA, mask, depth, Evidence(level, NONE, points), chosen).iloc[0]
     assert row["method"] == "lidar"
     assert row["bearing_grid_deg"] == pytest.approx(350.0)
+    aside = Evidence(level, NONE, points, seen_from_m=(4.0, -3.0))
+    row = measure_view(CAMERA, mask, depth, aside, chosen).iloc[0]
+    way = points[0, :2] - [4.0, -3.0]
+    assert row["bearing_grid_deg"] == pytest.approx(np.degrees(np.arctan2(*way)) % 360)
+    bare = measure_view(CAMERA, mask, depth, Evidence(level, NONE, points[2:]), chosen).iloc[0]
+    assert (bare["kept"], bare["reason"]) == (False, "no point of the cloud in view")
+
+
+def road_ahead(rng, count=400):
+    """Points of the level road before the camera."""
+    return np.array([[*place(a, d), 0.0] for a, d in rng.uniform([345, 8], [365, 48], (count, 2))])
+
+
+def test_published_distance_is_the_network_s_at_the_foot_alone(rng):
+    """By ordinary least squares on the front view's road; without a fit there is none."""
+    mask, depth = rendered([place(350.0, 20.0), place(0.0, 40.0)])
+    fit = fit_front_depth(CAMERA, depth, road_ahead(rng), 50.0)
+    assert (fit.reason, fit.sigma_d) == ("", 0.0)
+    column = PoleColumns(place(350.0, 21.0)[None], np.array([9.0]), np.array([0.1]))
+    evidence = Evidence(level, column, np.empty((0, 3)))
+    chosen = Sightings(distance="published")
+    table = measure_view(CAMERA, mask, depth, evidence, chosen, fit)
+    assert table["depth_m"].tolist() == pytest.approx([20.0, 40.0], rel=0.05)
+    assert set(table["depth_from"]) == {"network"}
+    assert table[["depth_lidar_m", "depth_ground_m", "sigma_depth_m"]].isna().all(axis=None)
+    bare = measure_view(CAMERA, mask, depth, evidence, chosen)
+    assert set(bare["reason"]) == {"distance unknown"}
 
 
 def test_hidden_feet_have_no_distance_by_the_ground():

@@ -163,6 +163,10 @@ class SightingRules(Section):
     bearing: Literal["fused", "image", "lidar"] = Field(
         default="fused", description="image and LiDAR, the image alone, or LiDAR as published"
     )
+    distance: Literal["fused", "published"] = Field(
+        default="fused",
+        description="network, ground and cloud together, or the network alone as published",
+    )
     height_rule: Literal["metric", "published", "none"] = Field(
         default="metric", description="what is too low for a pole: in metres, or as published"
     )
@@ -173,6 +177,12 @@ class SightingRules(Section):
 class PoleMasks(Section):
     """What a pole is in a mask; px of an image 1200 px high."""
 
+    mask_rule: Literal["axes", "published"] = Field(
+        default="axes",
+        description="what a pole is: upright parts by their axes and the numbers below, or as"
+        " published",
+    )
+
     min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
     min_width_px: Positive = Field(default=4.0, description="thinner objects are dropped, px")
     min_height_px: Positive = Field(default=40.0, description="lower objects are dropped, px")
@@ -182,9 +192,10 @@ class PoleMasks(Section):
 class SideViews(Section):
     """Where the side views look."""
 
-    side_views: Literal["found", "given"] = Field(
+    side_views: Literal["found", "given", "stitched"] = Field(
         default="found",
-        description="a side view whose yaw the drive does not tell: left out, or as given",
+        description="a side view whose yaw the drive does not tell: left out, or as given; or all"
+        " beside the front view in its plane, as published",
     )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")

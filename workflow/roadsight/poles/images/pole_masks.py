@@ -334,11 +334,18 @@ def _lowest_row(piece: _Piece, u0: float, slope: float, width: float) -> float:
 
 
 def _cut(piece: _Piece, shape: tuple[int, ...]) -> frozenset[str]:
+    return cut_sides(piece.u_min, piece.u_max, piece.v[0], piece.v[-1], shape)
+
+
+def cut_sides(
+    left: float, right: float, top: float, bottom: float, shape: tuple[int, ...]
+) -> frozenset[str]:
+    """Sides of a frame (rows, columns) that cut a box of whole pixels."""
     sides = {
-        "left": piece.u_min <= 0,
-        "right": piece.u_max >= shape[1] - 1,
-        "top": piece.v[0] <= 0,
-        "bottom": piece.v[-1] >= shape[0] - 1,
+        "left": left <= 0,
+        "right": right >= shape[1] - 1,
+        "top": top <= 0,
+        "bottom": bottom >= shape[0] - 1,
     }
     return frozenset(name for name, touches in sides.items() if touches)
 

@@ -1,19 +1,20 @@
 """Left, front and right view as one: cameras that turn about one centre (paper 2, section 3.2.3).
 
-The paper lays the views side by side and uses the front view's parameters for all. Here each view
-is measured with a camera of its own, turned from the front camera by a known yaw: nothing is
-resampled; objects that cross a seam, or that two views show, become one sighting.
+The paper lays the views side by side and uses the front view's parameters for all (`beside`). Else
+each view is measured with a camera of its own, turned from the front camera by a known yaw: nothing
+is resampled; objects that cross a seam, or that two views show, become one sighting.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import SideViews
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 
@@ -53,6 +54,27 @@ def side_intrinsics(front: Intrinsics, width_px: int, height_px: int) -> Intrins
     if (width_px, height_px) == (front.width_px, front.height_px):
         return front
     return Intrinsics.centred(width_px, height_px, front.focal_px * height_px / front.height_px)
+
+
+def beside(front: Intrinsics, view: str, width_px: int, height_px: int) -> Intrinsics:
+    """Intrinsics of a side view that goes on in the front view's plane (section 3.2.3).
+
+    The study lays the three images side by side and takes the front view's parameters for all.
+
+    Raises
+    ------
+    InputError : the view is not as large as the front view.
+    """
+    if (width_px, height_px) != (front.width_px, front.height_px):
+        raise InputError(
+            "a stitched side view must be as large as the front view",
+            where=f"sightings.side_views: {view} view",
+            found=f"{width_px} x {height_px} px",
+            allowed=f"{front.width_px} x {front.height_px} px",
+            hint="side_views: found or given takes views of any size",
+        )
+    shift = {"left": front.width_px, "front": 0, "right": -front.width_px}[view]
+    return replace(front, cx_px=front.cx_px + shift)
 
 
 def merge_views(sightings: pd.DataFrame) -> pd.DataFrame:

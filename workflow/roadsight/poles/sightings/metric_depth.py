@@ -113,6 +113,37 @@ def fit_metric_depth(
     )
 
 
+def fit_published_depth(relative: ArrayLike, z_true_m: ArrayLike) -> DepthFit:
+    """The study's fit, d = c1 / z + c2 by ordinary least squares (section 3.3.1).
+
+    LiDAR depths, normalised between near and far plane, are regressed on the network's; whatever
+    the planes are, that is a line of 1 / z by d. The authors' code takes it through the origin, for
+    maps that are stretched over 8 bits; the text names a linear regression, and others are not
+    stretched, so that here it has a level.
+
+    Parameters
+    ----------
+    relative : d (n,), any scale and shift, larger = nearer. z_true_m : depth along the optical
+        axis (n,).
+
+    Returns
+    -------
+    the fit, without errors; its ``reason`` says why there is none
+    """
+    d, z = np.asarray(relative, np.float64), np.asarray(z_true_m, np.float64)
+    good = np.isfinite(d) & np.isfinite(z) & (z > 0)
+    d, z = d[good], z[good]
+    if len(d) < _LEAST_POINTS:
+        return _no_fit(f"{len(d)} points of known depth, {_LEAST_POINTS} are needed")
+    if np.ptp(d) == 0.0:
+        return _no_fit("relative depth is constant")
+    slope, level = np.polyfit(d, 1.0 / z, 1)
+    if slope <= 0.0:
+        return _no_fit("relative depth does not grow towards the camera")
+    near, far = float(z.min()), float(z.max())
+    return DepthFit(1.0 / slope, -level / slope, np.zeros((2, 2)), 0.0, near, far, len(d))
+
+
 def _bisquare(basis: Floats, d: Floats, w: Floats) -> tuple[Floats, float, Floats]:
     """Coefficients (2,), scatter of d and final weights (n,)."""
     robust = w

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import (
@@ -164,38 +165,20 @@ def with_place(
     return np.hypot(sigma_deg, np.degrees(np.arctan(across)))
 
 
-def nearest_projected(
-    camera: ViewCamera, points_m: Floats, uv_px: Floats, boxes_px: Floats, reach_px: float
-) -> tuple[Floats, Floats]:
-    """Published way: bearing and horizontal distance of the LiDAR point nearest to each foot.
+def nearest_projected(camera: ViewCamera, points_m: Floats, uv_px: Floats) -> Ints:
+    """Number (n,) of the point whose projection is nearest to each foot, -1 where none is in view.
 
-    Points that project into the object's box come first; else the nearest within ``reach_px``.
+    The study's way to a bearing (section 3.3.2): nothing limits how near it is.
 
     Parameters
     ----------
-    points_m : (m, 3), local metres, those in sight. uv_px : feet (n, 2). boxes_px : (n, 4) as
-        u_min, v_min, u_max, v_max.
-
-    Returns
-    -------
-    grid bearing (n,) in degrees and distance (n,) in metres, NaN where no point is near
+    points_m : (m, 3), local metres. uv_px : feet (n, 2).
     """
-    bearing, distance = np.full(len(uv_px), np.nan), np.full(len(uv_px), np.nan)
     seen, _ = project(camera.intrinsics, camera.rotation(), camera.position_m, points_m)
-    good = camera.intrinsics.contains(seen)
-    seen, points = seen[good], points_m[good]
-    for i, (foot, box) in enumerate(zip(uv_px, boxes_px, strict=True)):
-        inside = ((seen >= box[:2]) & (seen <= box[2:])).all(axis=1)
-        apart = np.hypot(*(seen - foot).T)
-        if not inside.any():
-            inside = apart <= reach_px
-        if not inside.any():
-            continue
-        chosen = np.flatnonzero(inside)[np.argmin(apart[inside])]
-        offset = points[chosen, :2] - camera.position_m[:2]
-        bearing[i] = azimuth_deg(np.zeros(2), offset)
-        distance[i] = np.hypot(*offset)
-    return bearing, distance
+    inside = np.flatnonzero(camera.intrinsics.contains(seen))
+    if not len(inside):
+        return np.full(len(uv_px), -1, np.int64)
+    return np.asarray(inside[cKDTree(seen[inside]).query(uv_px)[1]], np.int64)
 
 
 def matching_columns(

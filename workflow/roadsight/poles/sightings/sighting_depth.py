@@ -16,6 +16,7 @@ from roadsight.poles.sightings.metric_depth import (
     HeightAt,
     balancing_weights,
     fit_metric_depth,
+    fit_published_depth,
     ground_distance_m,
 )
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
@@ -90,6 +91,35 @@ def fit_view_depth(
     return fit_metric_depth(relative, z, balancing_weights(z))
 
 
+def fit_front_depth(
+    camera: ViewCamera, depth: NDArray[np.uint16], road_m: Floats, farthest_m: float
+) -> DepthFit:
+    """The study's fit of a front view's relative depth to the cloud's road in it (section 3.3.1).
+
+    Parameters
+    ----------
+    road_m : (n, 3) points of road and bridge, local metres. farthest_m : farther ones do not count.
+    """
+    lens = camera.intrinsics
+    uv, z = project(lens, camera.rotation(), camera.position_m, road_m)
+    good = lens.contains(uv) & (z < farthest_m)
+    relative = sample_depth(depth, uv[good], (lens.height_px, lens.width_px))
+    return fit_published_depth(relative, z[good])
+
+
+def foot_distances(
+    camera: ViewCamera,
+    instances: Sequence[Instance],
+    depth: NDArray[np.uint16],
+    fit: DepthFit,
+    shape: tuple[int, int],
+) -> Floats:
+    """Horizontal distance (n,) of objects by the network's depth at the pixel of the foot."""
+    feet = _feet(instances)
+    z, _ = fit.depth_m(sample_depth(depth, feet - [0.0, 0.5], shape))
+    return z * _stretch(camera, feet)
+
+
 def network_distances(
     camera: ViewCamera,
     instances: Sequence[Instance],
@@ -114,8 +144,7 @@ def network_distances(
             own = 1.4826 * np.median(np.abs(low - relative[i]))
             spread[i] = np.hypot(own, 0.5 * (np.median(along) - relative[i]))
     z, sigma = fit.depth_m(relative, spread)
-    rays = camera.rays(_feet(instances))
-    stretch = np.hypot(rays[:, 0], rays[:, 1]) / (rays @ camera.rotation()[2])
+    stretch = _stretch(camera, _feet(instances))
     return z * stretch, sigma * stretch
 
 
@@ -175,6 +204,12 @@ def behind_plants(
         share = (seen / ground)[np.isfinite(seen / ground)]
         answer[i] = len(share) > 0 and np.median(share) < _PLANTS_NEARER
     return answer
+
+
+def _stretch(camera: ViewCamera, uv_px: Floats) -> Floats:
+    """Horizontal distance (n,) over the depth along the optical axis, of pixels (n, 2)."""
+    rays = camera.rays(uv_px)
+    return np.asarray(np.hypot(rays[:, 0], rays[:, 1]) / (rays @ camera.rotation()[2]), np.float64)
 
 
 def _feet(instances: Sequence[Instance]) -> Floats:

@@ -15,8 +15,9 @@ from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
+from roadsight.poles.images.published_masks import published_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
+from roadsight.poles.sightings.metric_depth import DepthFit, HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
     OWN_COLUMN,
     SNAP_DEPTHS,
@@ -31,6 +32,7 @@ from roadsight.poles.sightings.sighting_bearing import (
 from roadsight.poles.sightings.sighting_depth import (
     behind_plants,
     fit_view_depth,
+    foot_distances,
     ground_distances,
     network_distances,
 )
@@ -39,6 +41,8 @@ _MODEL_SHARE = 0.05
 """Error of a network's distances that an image has in common, as a share of the distance."""
 
 
+NO_COLUMNS = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
+"""What the published ways know of columns."""
 _SIGMA_AXIS_PX = 2.0
 """Error of an axis across; px of an image 1200 px high."""
 _SIGMA_FOOT_PX = 8.0
@@ -63,13 +67,15 @@ class Evidence:
 
     Parameters
     ----------
-    height_at : terrain. columns : pole-like LiDAR columns. points_m : voxels (n, 3) within reach,
-    only for the published bearing.
+    height_at : terrain. columns : pole-like LiDAR columns. points_m : points of the cloud (n, 3)
+    within reach, only for the published bearing. seen_from_m : (2,) the videolog's place of the
+    camera, from which the published bearing is taken.
     """
 
     height_at: HeightAt
     columns: PoleColumns
     points_m: Floats
+    seen_from_m: tuple[float, float] | None = None
 
 
 def measure_view(
@@ -78,13 +84,14 @@ def measure_view(
     depth: NDArray[np.uint16] | None,
     evidence: Evidence,
     settings: Sightings | None = None,
+    front_fit: DepthFit | None = None,
 ) -> pd.DataFrame:
     """Sightings in one view, kept or not, left to right within each kind.
 
     Parameters
     ----------
     camera : of the view. mask : project classes (rows, columns). depth : relative inverse depth of
-        any size, or None.
+        any size, or None. front_fit : of the place's front view, for the published distance.
 
     Returns
     -------
@@ -94,12 +101,15 @@ def measure_view(
     """
     settings = settings or Sightings()
     kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
-    found = [one for kind in kinds for one in find_instances(mask, kind, settings)]
+    found = [one for kind in kinds for one in _instances(mask, kind, settings)]
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
     table = _pixels(found)
     if not found:
         return table
-    network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
+    if settings.distance == "published":
+        network, ground, hidden = _published_distances(camera, found, mask, depth, front_fit)
+    else:
+        network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
     table["foot_visible"] = ~hidden
     before = [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
     prior, prior_sigma = np.array(before).T
@@ -117,7 +127,7 @@ def measure_view(
     tops = np.where(panel, _rise(camera, table[["u_foot", "v_min"]]), np.nan)
     match = matching_columns(
         camera,
-        evidence.columns,
+        evidence.columns if settings.distance == "fused" else NO_COLUMNS,
         bearing,
         sigma,
         prior,
@@ -133,12 +143,12 @@ def measure_view(
             sigma_m = np.sqrt(other[1] ** 2 + lidar[1] ** 2 + place**2)
             off = np.abs(other[0] - lidar[0]) > SNAP_DEPTHS * sigma_m
         other[:, off] = np.nan
-    table = _with_depths(table, {"network": network, "ground": ground, "lidar": lidar})
+    ways = {"network": network, "ground": ground, "lidar": lidar}
+    table = _with_depths(table, ways, settings.distance == "fused")
     table = _with_sizes(table, found, camera)
     sigma = with_place(camera, bearing, sigma, table["depth_m"].fillna(settings.farthest_m))
-    boxes = table[["u_min", "v_min", "u_max", "v_max"]].to_numpy()
     bearing, sigma, method = _chosen_bearing(
-        camera, (bearing, sigma), match, evidence, (feet, boxes), settings, 30.0 * scale
+        camera, (bearing, sigma), match, evidence, feet, settings
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
     table["sigma_place_m"] = place
@@ -148,6 +158,12 @@ def measure_view(
         edge = _rise(camera, np.column_stack([middle, table[row]]))
         table[name] = np.where(panel, edge, np.nan)
     return _once_a_column(_judged(table, found, camera, settings), match)
+
+
+def _instances(mask: Bytes, kind: str, settings: Sightings) -> list[Instance]:
+    if settings.mask_rule == "published" and kind == "pole":
+        return published_instances(mask)
+    return find_instances(mask, kind, settings)
 
 
 def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
@@ -198,6 +214,20 @@ def _own_distances(
     return network, ground, hidden
 
 
+def _published_distances(
+    camera: ViewCamera,
+    found: Sequence[Instance],
+    mask: Bytes,
+    depth: NDArray[np.uint16] | None,
+    fit: DepthFit | None,
+) -> tuple[Floats, Floats, Bools]:
+    """As `_own_distances`, by the network at the foot alone, without errors (section 3.3.1)."""
+    network, ground = np.full((2, len(found)), np.nan), np.full((2, len(found)), np.nan)
+    if depth is not None and fit is not None:
+        network[0] = foot_distances(camera, found, depth, fit, mask.shape)
+    return network, ground, np.zeros(len(found), bool)
+
+
 def _rise(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
     """Rise per metre of plan (n,) of the rays of pixels (n, 2)."""
     rays = camera.rays(uv_px)
@@ -230,19 +260,23 @@ def _column_distances(camera: ViewCamera, columns: PoleColumns, match: Ints) -> 
     return found
 
 
-def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray]) -> pd.DataFrame:
+def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray], fused: bool) -> pd.DataFrame:
+    """Distances by each way, and that which counts: of all together, or the network's alone."""
     columns: dict[str, Any] = {}
     for name, (distance, sigma) in pairs.items():
         columns[f"depth_{name}_m"], columns[f"sigma_depth_{name}_m"] = distance, sigma
-    fused = [fuse_depths(*pair) for pair in zip(*_stack(*pairs.values()), strict=True)]
+    if not fused:
+        told = {"depth_m": pairs["network"][0], "sigma_depth_m": np.nan, "depth_from": "network"}
+        return table.assign(**columns, **told)
+    together = [fuse_depths(*pair) for pair in zip(*_stack(*pairs.values()), strict=True)]
     names = np.array(list(pairs))
-    told = ["+".join(names[one[2]]) for one in fused]
+    sources = ["+".join(names[one[2]]) for one in together]
     lidar = pairs["lidar"]
     # A ray that ends at a column ends there: other distances have the error of the camera's place.
     ends = np.isfinite(lidar[0])
-    columns["depth_m"] = np.where(ends, lidar[0], [one[0] for one in fused])
-    columns["sigma_depth_m"] = np.where(ends, lidar[1], [one[1] for one in fused])
-    columns["depth_from"] = np.where(ends, "lidar", np.array(told, dtype=object))
+    columns["depth_m"] = np.where(ends, lidar[0], [one[0] for one in together])
+    columns["sigma_depth_m"] = np.where(ends, lidar[1], [one[1] for one in together])
+    columns["depth_from"] = np.where(ends, "lidar", np.array(sources, dtype=object))
     return table.assign(**columns)
 
 
@@ -262,17 +296,17 @@ def _chosen_bearing(
     image: tuple[Floats, Floats],
     match: Ints,
     evidence: Evidence,
-    pixels: tuple[Floats, Floats],
+    feet: Floats,
     settings: Sightings,
-    reach_px: float,
 ) -> tuple[Floats, Floats, NDArray]:
     """Bearing, sigma and the way it was found (n,)."""
     bearing, sigma = image[0].copy(), image[1].copy()
     method = np.full(len(bearing), "image", dtype=object)
     if settings.bearing == "lidar":
-        nearest, _ = nearest_projected(camera, evidence.points_m, *pixels, reach_px)
-        known = np.isfinite(nearest)
-        bearing[known], method[known] = nearest[known], "lidar"
+        nearest = nearest_projected(camera, evidence.points_m, feet)
+        known, origin = nearest >= 0, evidence.seen_from_m or camera.position_m[:2]
+        offset = evidence.points_m[nearest[known], :2] - np.asarray(origin)
+        bearing[known], method[known] = azimuth_deg(np.zeros(2), offset), "lidar"
     if settings.bearing == "fused":
         for i in np.flatnonzero(match >= 0):
             offset = evidence.columns.xy_m[match[i]] - np.asarray(camera.position_m[:2])
@@ -303,6 +337,9 @@ def _judged(
     # part that a pole would be known by.
     pairs = zip(reasons, in_cloud, strict=True)
     table["reason"] = ["" if known and why == "too low" else why for why, known in pairs]
+    if settings.bearing == "lidar":
+        lost = (table["reason"] == "") & (table["method"] != "lidar")
+        table["reason"] = table["reason"].mask(lost, "no point of the cloud in view")
     table["kept"] = table["reason"] == ""
     return table
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.base.errors import InputError
@@ -25,13 +26,16 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.calibration.calibration_table import Key, from_content
-from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
+from roadsight.poles.images.stitching import ViewOffsets, beside, merge_views, side_intrinsics
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
 from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.sightings.markings import markings_on_ground
+from roadsight.poles.sightings.metric_depth import DepthFit
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS, ViewCamera
+from roadsight.poles.sightings.sighting_depth import fit_front_depth
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
+from roadsight.scene.classes import is_road
 from roadsight.stages.command import Command
 from roadsight.stages.poles.shared.alignment_inputs import read_columns
 from roadsight.stages.progress import logged
@@ -129,7 +133,7 @@ def measure_poles(
     log.info("%d of %d images have an accepted camera", len(known), len(frames))
     frame = Frame.from_dict(read_json(frame_path))
     ground = read_raster(dem, frame)
-    evidence = _Evidence(columns, voxels, ground, accepted.loc[known["image"]], settings)
+    evidence = _Evidence(columns, voxels, ground, known, settings)
     masks, depths = ImageShard(masks_path), ImageShard(depth)
     shown = list(views_of(known, tuple(views)))
     lacking = {view.path for view in shown if view.name not in masks or view.name not in depths}
@@ -145,12 +149,11 @@ def measure_poles(
         mask, pose = masks.read(view.name), poses[view.image]
         key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
         turns = found.get(key, Turns())
-        turn_sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
-        camera = _camera(view, pose, _offsets(turns, given), mask.shape)
-        if np.isfinite(turn_sigma_deg):
-            camera = replace(camera, sigma_yaw_deg=float(turn_sigma_deg))
-        table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
-        unturned = key in found and not np.isfinite(turn_sigma_deg)
+        camera = _view_camera(view, pose, turns, given, settings, mask.shape)
+        depth_map = depths.read(view.name)
+        fit, near = evidence.front_fit(view, camera, depth_map), evidence.near(camera, view.image)
+        table = measure_view(camera, mask, depth_map, near, settings, fit)
+        unturned = key in found and not np.isfinite(turns.sigma_deg[VIEWS.index(view.view)])
         if unturned and settings.side_views == "found":
             table = table.assign(kept=False, reason=UNTURNED)
         else:
@@ -159,7 +162,9 @@ def measure_poles(
             tables.append(table.assign(image=view.image, view=view.view))
         if markings and view.view == "front":
             marked.append(_markings(camera, mask, ground, view, min_marking_px))
-    sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
+    sightings = _together(tables, settings)
+    if settings.bearing == "lidar":  # rays begin where the videolog says (section 3.3)
+        accepted = accepted.assign(**known.set_index("image")[["x", "y"]])
     table = _finished(sightings, known, accepted, frame, grid_convergence == "simulate")
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
@@ -169,6 +174,30 @@ def measure_poles(
     if seen:
         told = pd.concat(answers, ignore_index=True).astype(_SEEN)
         write_table(seen, told.assign(route=told["image"].map(routes).astype(str)))
+
+
+def _together(tables: list[pd.DataFrame], settings: Sightings) -> pd.DataFrame:
+    """Sightings of all views; views that are stitched have nothing twice."""
+    sightings = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+    if not tables or settings.side_views == "stitched":
+        return sightings
+    return merge_views(sightings)
+
+
+def _view_camera(
+    view: View,
+    pose: pd.Series,
+    turns: Turns,
+    given: ViewOffsets,
+    settings: Sightings,
+    shape: tuple[int, ...],
+) -> ViewCamera:
+    """Camera of a view, turned from the front view's or beside it in its plane."""
+    if settings.side_views == "stitched":
+        return _camera(view, pose, None, shape)
+    camera = _camera(view, pose, _offsets(turns, given), shape)
+    sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
+    return replace(camera, sigma_yaw_deg=float(sigma_deg)) if np.isfinite(sigma_deg) else camera
 
 
 def _markings(
@@ -217,32 +246,60 @@ class _Evidence:
         columns: Path | None,
         voxels: Path | None,
         ground: Raster,
-        cameras: pd.DataFrame,
+        frames: pd.DataFrame,
         settings: Sightings,
     ) -> None:
         self._ground, self._reach_m = ground, settings.farthest_m
+        places = frames[["image", "x", "y"]].itertuples(index=False)
+        self._places = {str(image): (x, y) for image, x, y in places}
+        self._fits: dict[str, DepthFit] | None = {} if settings.distance == "published" else None
         self._columns = read_columns(columns)
-        self._points = np.empty((0, 3))
-        if settings.bearing == "lidar":
-            self._points = _voxels(voxels, cameras, self._reach_m + 10.0)
+        self._points, self._road = np.empty((0, 3)), np.empty((0, 3))
+        if settings.bearing == "lidar" or settings.distance == "published":
+            self._points, self._road = _voxels(voxels, frames, self._reach_m + 10.0)
         log.info("%d pole-like columns, %d voxels", len(self._columns), len(self._points))
 
-    def near(self, camera: ViewCamera) -> Evidence:
+    def near(self, camera: ViewCamera, image: str) -> Evidence:
         """What lies within reach of a camera."""
-        offset = self._points - np.asarray(camera.position_m)
-        close = np.hypot(offset[:, 0], offset[:, 1]) <= self._reach_m
-        return Evidence(self._ground.sample, self._columns, self._points[close])
+        points_m = self._close(self._points, camera)
+        return Evidence(self._ground.sample, self._columns, points_m, self._places[image])
+
+    def front_fit(
+        self, view: View, camera: ViewCamera, depth: NDArray[np.uint16]
+    ) -> DepthFit | None:
+        """The study's fit of a place's front view, which holds for its side views; if asked for."""
+        if self._fits is None:
+            return None
+        if view.view == "front":
+            road_m = self._close(self._road, camera)
+            self._fits[view.image] = fit_front_depth(camera, depth, road_m, self._reach_m)
+        return self._fits.get(view.image)
+
+    def _close(self, points_m: Floats, camera: ViewCamera) -> Floats:
+        offset = points_m - np.asarray(camera.position_m)
+        close: Floats = points_m[np.hypot(offset[:, 0], offset[:, 1]) <= self._reach_m]
+        return close
 
 
-def _voxels(path: Path | None, cameras: pd.DataFrame, reach_m: float) -> Floats:
-    """Centres (n, 3) of the voxels around the cameras."""
+def _voxels(path: Path | None, cameras: pd.DataFrame, reach_m: float) -> tuple[Floats, Floats]:
+    """Centres of the voxels around the cameras that are seen from above, and of road among them.
+
+    These are the highest of each column and all of road and bridge, as the study reduces its
+    raster (Fig. 4c).
+    """
     if not path:
-        raise InputError("the bearing `lidar` needs voxels", where="--voxels")
+        raise InputError(
+            "is needed by sightings.bearing: lidar and sightings.distance: published",
+            where="--voxels",
+        )
     about = read_about(path)
     cell_m, anchor = float(about["cell_size_m"]), np.array(about["anchor"], np.float64)
-    index = read_table(path, ["ix", "iy", "iz"]).to_numpy(np.float64)
-    xyz = anchor + (index + 0.5) * cell_m
-    return xyz[_near(xyz[:, :2], cameras[["x", "y"]].to_numpy(np.float64), reach_m)]
+    table = read_table(path, ["ix", "iy", "iz", "cls"])
+    road = np.asarray(is_road(table["cls"].to_numpy()), bool)
+    top = (table["iz"] == table.groupby(["ix", "iy"])["iz"].transform("max")).to_numpy()
+    xyz = anchor + (table[["ix", "iy", "iz"]].to_numpy(np.float64) + 0.5) * cell_m
+    near = _near(xyz[:, :2], cameras[["x", "y"]].to_numpy(np.float64), reach_m)
+    return xyz[near & (top | road)], xyz[near & road]
 
 
 def _near(xy_m: Floats, places_m: Floats, reach_m: float) -> Bools:
@@ -260,8 +317,9 @@ def _near(xy_m: Floats, places_m: Floats, reach_m: float) -> Bools:
 
 
 def _camera(
-    view: View, pose: pd.Series, offsets: ViewOffsets, shape: tuple[int, ...]
+    view: View, pose: pd.Series, offsets: ViewOffsets | None, shape: tuple[int, ...]
 ) -> ViewCamera:
+    """Camera of a view; without offsets, side views lie beside the front view in its plane."""
     front = Intrinsics(
         int(pose["width_px"]),
         int(pose["height_px"]),
@@ -269,12 +327,17 @@ def _camera(
         float(pose["cx_px"]),
         float(pose["cy_px"]),
     )
-    own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
+    own = front
+    if offsets is None:
+        own = beside(front, view.view, shape[1], shape[0])
+    elif view.view != "front":
+        own = side_intrinsics(front, shape[1], shape[0])
+    turn_deg = 0.0 if offsets is None else offsets.of(view.view)
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
     *sigmas, by_cy_deg = (float(np.nan_to_num(pose[name])) for name in _SIGMAS)
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     heading, pitch, roll = angles
-    camera = ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+    camera = ViewCamera(own, position, heading, pitch, roll, turn_deg, *sigmas)
     if own == front:
         # What another row of the principal point tilts, it shifts back: a foot stays where it is
         # seen. A side view with a lens of its own tilts with the front view alone.
