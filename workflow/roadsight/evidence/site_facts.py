@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.geometry.areas import inside
 from roadsight.placement.sight.carriageways import lanes_abreast
 from roadsight.placement.sight.lanes import trace_lanes
 from roadsight.scene.profile import mean_spacing_m
@@ -65,12 +66,9 @@ def site_facts(
         raise InputError("has no road edge, along which a site is measured")
     longest = max(edges, key=lambda line: line.length)
     along = shapely.get_coordinates(shapely.segmentize(list(edges), _EVERY_M))
-    away_m, _ = cKDTree(along).query(xyz_m[:, :2], distance_upper_bound=reach_m + _EVERY_M)
-    near = np.isfinite(away_m)
-    near[near] = (
-        shapely.distance(shapely.points(xyz_m[near, :2]), shapely.union_all(list(edges))) <= reach_m
-    )
-    near |= shapely.contains_xy(pavement, xyz_m[:, 0], xyz_m[:, 1])
+    # The nearest vertex is at most a centimetre farther than the edge, 20 m away.
+    away_m, _ = cKDTree(along).query(xyz_m[:, :2], distance_upper_bound=reach_m)
+    near = np.isfinite(away_m) | inside(pavement, xyz_m[:, 0], xyz_m[:, 1])
     if not near.any():
         raise InputError("no point of the cloud lies near the road's edges")
     lanes = trace_lanes(list(edges), pavement, lane_width_m)
