@@ -1,143 +1,255 @@
-"""What opencv-contrib does beside what is written here: ``python -m benchmarks.contrib FOLDER``.
+"""What opencv-contrib does beside what is used here: ``python -m benchmarks.contrib``.
 
-FOLDER holds ``road_masks`` (3: marking), ``masks`` (5: pole) and ``images`` of the same names. The
-table of docs/decisions/075-engines-and-kept-libraries.md was printed by it.
+Reads the labelled streets and the videologs under ROADSIGHT_DATA. The tables of
+docs/decisions/104-opencv-contrib.md were printed by it.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import laspy
 import numpy as np
-from scipy.spatial import cKDTree
+import pandas as pd
 
 from roadsight.base.sections.poles import EdgeTracing
+from roadsight.io.images.models import read_label_map
 from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.evidence import edge_maps
 from roadsight.poles.images.image_edges import _borders, _cleaned_road
 from roadsight.poles.images.lanes import centre_lines
-from roadsight.poles.images.pole_masks import find_instances
+from roadsight.poles.images.pole_masks import Instance, find_instances
 
-_MARKING, _POLE = 3, 5
-_MOST = 60
-"""Images looked at."""
+LABELS = Path("resources/manifests/labels_cityscapes.yaml")
+HALVES = {"chosen on": ("02", "05", "07"), "reported": ("03", "06", "08")}
+"""Streets on which parameters were chosen, and those that are reported."""
+_POLE = int(PixelClass.POLE)
+_POLE_LABEL = 80
+"""Of a pole in the labels of street_scans."""
+_RANGE_M = (2.0, 60.0)
+"""Ranges of labelled points that count."""
+_NEAR_PX = 6.0
+"""Points of a pole lie within this of the axis of its mask."""
 
-
-def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Result and CPU milliseconds, the least of three."""
-    times = []
-    for _ in range(3):
-        begun = time.process_time()
-        found = work()
-        times.append(1e3 * (time.process_time() - begun))
-    return found, min(times)
-
-
-def apart_px(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Distance of each point of ``one`` (n, 2) to the nearest of ``other``."""
-    if not len(one) or not len(other):
-        return np.full(len(one), np.inf)
-    return np.asarray(cKDTree(other).query(one)[0])
+Image = np.ndarray
+Smoother = Callable[[Image, Image], Image]
+Axis = Callable[[Instance, Image, Image], Instance]
 
 
-def pixels(mask: np.ndarray) -> np.ndarray:
-    """Places (n, 2) as u, v of what is set."""
-    return np.argwhere(mask)[:, ::-1].astype(float)
+@dataclass
+class View:
+    """A photograph, its classes by a network, and the points of poles in it: (n, 2) as u, v."""
+
+    image: Image
+    classes: Image
+    points: np.ndarray
 
 
-def edges_drawn(image: np.ndarray) -> np.ndarray:
-    """Edge pixels by edge drawing."""
+def views(street: Path) -> Iterator[View]:
+    """Photographs of a labelled street; points are of the scan of the same moment."""
+    las = laspy.read(street / "frames.laz")
+    xyz, scan = np.asarray(las.xyz), np.asarray(las.point_source_id)
+    pole = np.load(street / "labels.npz")["label"] == _POLE_LABEL
+    lookup = read_label_map(LABELS).lookup()
+    for camera in pd.read_csv(street / "truth_cameras.csv").to_dict("records"):
+        rotation = np.array([camera[f"cam_from_world_r{i}{j}"] for i in range(3) for j in range(3)])
+        offset = xyz[pole & (scan == camera["frame"])] - [camera[f"{axis}_m"] for axis in "xyz"]
+        x, y, z = rotation.reshape(3, 3) @ offset.T
+        u = camera["fx_px"] * x / z + camera["cx_px"]
+        v = camera["fy_px"] * y / z + camera["cy_px"]
+        inside = (z > _RANGE_M[0]) & (z < _RANGE_M[1])
+        inside &= (np.abs(u / camera["width_px"] - 0.5) < 0.5) & (v > 0)
+        inside &= v < camera["height_px"]
+        stem = Path(camera["image"]).stem
+        labels = cv2.imread(str(street / "masks" / f"{stem}.png"), cv2.IMREAD_UNCHANGED)
+        image = cv2.imread(str(street / "images" / camera["image"]))
+        yield View(image, lookup[labels], np.column_stack([u, v])[inside])
+
+
+SMOOTHERS: dict[str, Smoother] = {
+    "as the network gave it": lambda image, own: own > 0,
+    "guidedFilter": lambda image, own: (
+        cv2.ximgproc.guidedFilter(image, own, 4, 1e-3 * 255**2) > 127
+    ),
+    "fastGlobalSmootherFilter": lambda image, own: (
+        cv2.ximgproc.fastGlobalSmootherFilter(image, own, 100, 3) > 127
+    ),
+    "medianBlur (plain OpenCV)": lambda image, own: cv2.medianBlur(own, 5) > 127,
+}
+"""Ways to bring the mask of poles to the photograph's edges; of each the best of up to 18 settings,
+by IoU on the streets chosen on."""
+
+
+def beside(found: Instance, lines: Image | None, left: int, top: int) -> Instance:
+    """An object with the axis between the two lines that bound its mask, if there are such."""
+    if lines is None:
+        return found
+    ends = lines.reshape(-1, 4).astype(float) + np.array([left, top, left, top])
+    rise, run = ends[:, 3] - ends[:, 1], ends[:, 2] - ends[:, 0]
+    high = np.abs(rise) > 0.3 * (found.v_max - found.v_min)
+    high &= np.abs(run - found.slope * rise) < 0.06 * np.abs(rise) + 1
+    ends, slope = ends[high], run[high] / rise[high]
+    middle = 0.5 * (found.v_min + found.v_foot)
+    u = ends[:, 0] + slope * (middle - ends[:, 1])
+    aside = u - found.axis_u(np.array([middle]))[0]
+    pairs = [
+        (abs(aside[i] + aside[j]), i, j)
+        for i in np.flatnonzero(aside < 0)
+        for j in np.flatnonzero(aside >= 0)
+        if 0.4 * found.width_px <= aside[j] - aside[i] <= 1.8 * found.width_px + 1
+    ]
+    if not pairs:
+        return found
+    _, i, j = min(pairs)
+    between = float(slope[[i, j]].mean())
+    foot = float(u[[i, j]].mean() + between * (found.v_foot - middle))
+    return replace(found, slope=between, u_foot=foot)
+
+
+def box(found: Instance, image: Image) -> tuple[Image, int, int]:
+    """What lies around an object, its column and its row."""
+    left, top = max(int(found.u_min) - 4, 0), max(int(found.v_min) - 4, 0)
+    part = image[top : int(found.v_max) + 5, left : int(found.u_max) + 5]
+    return np.ascontiguousarray(part), left, top
+
+
+def fast_lines(found: Instance, image: Image, classes: Image) -> Instance:
+    """Axis by the lines of `FastLineDetector` in the mask."""
+    part, *corner = box(found, (classes == _POLE).view(np.uint8) * np.uint8(255))
+    detector = cv2.ximgproc.createFastLineDetector(length_threshold=10)
+    return beside(found, detector.detect(part), *corner)
+
+
+def drawn_lines(found: Instance, image: Image, classes: Image) -> Instance:
+    """Axis by the lines of `EdgeDrawing` in the photograph."""
+    part, *corner = box(found, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
     drawing = cv2.ximgproc.createEdgeDrawing()
-    drawing.detectEdges(image)
-    return pixels(drawing.getEdgeImage())
+    drawing.detectEdges(part)
+    return beside(found, drawing.detectLines(), *corner)
 
 
-def a_line(slope: float, start: float) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """A mask whose border is a known line, and the distance of points from that line."""
-    v, u = np.mgrid[:400, :600]
-    mask = (u < start + slope * v).astype(np.uint8)
-    return mask, lambda p: np.abs(p[:, 0] - start - slope * p[:, 1]) / np.hypot(1, slope)
+AXES: dict[str, Axis] = {
+    "rows of the mask (ours)": lambda found, image, classes: found,
+    "FastLineDetector on the mask": fast_lines,
+    "EdgeDrawing on the photograph": drawn_lines,
+}
 
 
-def main(folder: Path) -> int:
+def poles(shown: list[View], smoother: Smoother, axis: Axis) -> str:
+    """Objects whose axis meets labelled points of poles, and how far they lie from it."""
+    aside, met, found, others, took_s = [], 0, 0, 0, 0.0
+    for view in shown:
+        begun = time.process_time()
+        own = smoother(view.image, (view.classes == _POLE).view(np.uint8) * np.uint8(255))
+        classes = view.classes.copy()
+        classes[(view.classes == _POLE) & ~own] = PixelClass.OTHER
+        classes[own] = _POLE
+        took_s += time.process_time() - begun
+        objects = [one for one in find_instances(classes) if not one.reason]
+        begun = time.process_time()
+        objects = [axis(one, view.image, classes) for one in objects]
+        took_s += time.process_time() - begun
+        u, v = view.points.T
+        taken = np.zeros(len(u), bool)
+        for one in objects:
+            off = u - one.axis_u(v)
+            own = (v > one.v_min - 2) & (v < one.v_foot + 3)
+            own &= np.abs(off) < max(_NEAR_PX, one.width_px)
+            if own.sum() >= 3:
+                aside.append(abs(np.median(off[own])))
+                taken |= own
+            else:
+                others += 1
+        met, found = met + taken.sum(), found + len(u)
+    return (
+        f"{len(aside)} objects on poles, {others} others, {met / found:.1%} of the points of poles,"
+        f" {np.median(aside):.2f} px off (80 %: {np.percentile(aside, 80):.2f}),"
+        f" {1e3 * took_s / len(shown):.0f} ms an image"
+    )
+
+
+def lines() -> None:
+    """Known borders and centre-lines, against edge drawing and thinning."""
+    settings, errors = EdgeTracing(), {}
+    for number in range(20):
+        slope, start = 0.1 + 0.05 * number, 100.37 + 3.1 * number
+        v, u = np.mgrid[:400, :600]
+        mask = (u < start + slope * v).astype(np.uint8)
+        band = mask.astype(bool) & (u >= start - 7 + slope * v)
+
+        def off(points: Image, shift: float, slope: float = slope, start: float = start) -> float:
+            across = points[:, 0] - start + shift - slope * points[:, 1]
+            return float(np.mean(np.abs(across)) / np.hypot(1, slope))
+
+        drawing = cv2.ximgproc.createEdgeDrawing()
+        drawing.detectEdges(mask * np.uint8(255))
+        thin = cv2.ximgproc.thinning(band.view(np.uint8) * np.uint8(255))
+        for name, found, shift in (
+            ("border, ours", _borders(mask * 0, _cleaned_road(mask, settings), settings), 0.0),
+            ("border, EdgeDrawing", np.argwhere(drawing.getEdgeImage())[:, ::-1], 0.0),
+            ("centre-line, ours", centre_lines(band, settings.min_marking_px), 3.5),
+            ("centre-line, thinning", np.argwhere(thin)[:, ::-1], 3.5),
+        ):
+            errors.setdefault(name, []).append(off(np.asarray(found, float), shift))
+    for name, found in errors.items():
+        print(f"{name}: {np.mean(found):.2f} px off")
+
+
+def hashes(folders: list[Path]) -> None:
+    """How far copies of an image, and the images of neighbouring places, are from each other."""
+    kinds = {
+        "MarrHildrethHash": cv2.img_hash.MarrHildrethHash.create(),
+        "BlockMeanHash": cv2.img_hash.BlockMeanHash.create(1),
+        "PHash": cv2.img_hash.PHash.create(),
+        "AverageHash": cv2.img_hash.AverageHash.create(),
+    }
+    for folder in folders:
+        images = [cv2.imread(str(file)) for file in sorted(folder.iterdir())]
+        for name, kind in kinds.items():
+            begun = time.process_time()
+            own = [kind.compute(image) for image in images]
+            each_ms = 1e3 * (time.process_time() - begun) / len(images)
+            apart = [kind.compare(a, b) for a, b in pairwise(own)]
+            copies = [
+                kind.compare(own[number], kind.compute(copy))
+                for number in range(0, len(images), 5)
+                for copy in copied(images[number])
+            ]
+            print(
+                f"{folder.parent.name}, {name}: copies {max(copies):.0f} bits at most, neighbours"
+                f" {min(apart):.0f} at least, {each_ms:.1f} ms an image"
+            )
+
+
+def copied(image: Image) -> list[Image]:
+    """An image that was stored anew, and one with another line of text in it."""
+    _, stored = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 50])
+    text = image.copy()
+    place = 10, image.shape[0] - 12
+    cv2.putText(text, "12:34:56.7 35.123N", place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255))
+    return [cv2.imdecode(stored, cv2.IMREAD_COLOR), text]
+
+
+def main(data: Path) -> int:
     """Print a line for each."""
     cv2.setNumThreads(1)
-    settings, rows = EdgeTracing(), {"centre": [], "edges": []}
-    files = sorted((folder / "road_masks").rglob("*.png"))
-    for file in files[:: max(len(files) // _MOST, 1)]:
-        mask = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        marking = mask == _MARKING
-        if marking.sum() > 200:
-            ours, own_ms = timed(lambda m=marking: centre_lines(m, settings))
-            theirs, their_ms = timed(
-                lambda m=marking: pixels(cv2.ximgproc.thinning(m.view(np.uint8) * 255))
-            )
-            near = apart_px(theirs, ours)
-            rows["centre"].append((own_ms, their_ms, np.median(near), np.mean(near > 2)))
-        image = next((folder / "images").rglob(file.stem + ".*"), None)
-        if image is not None:
-            grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
-            maps, own_ms = timed(lambda g=grey: sum(edge_maps(g)) > 0)
-            theirs, their_ms = timed(lambda g=grey: edges_drawn(g))
-            near = apart_px(theirs, pixels(maps))
-            rows["edges"].append((own_ms, their_ms, np.median(near), np.mean(near > 2)))
-    for name, found in rows.items():
-        if found:
-            means = np.mean(found, axis=0)
-            print(f"{name}: {len(found)} images, ours {means[0]:.1f} ms, theirs {means[1]:.1f} ms,")
-            print(f"  theirs {means[2]:.2f} px from ours, {means[3]:.0%} farther than 2 px")
-    errors = {"ours": [], "edge drawing": [], "thinning": []}
-    for number in range(20):
-        mask, off = a_line(0.1 + 0.05 * number, 100.37 + 3.1 * number)
-        road = _cleaned_road(mask, settings)
-        errors["ours"].append(np.mean(off(_borders(mask * 0, road, settings))))
-        drawn = edges_drawn(mask * np.uint8(255))
-        errors["edge drawing"].append(np.mean(off(drawn)))
-        band, off = a_line(0.1 + 0.05 * number, 100.37 + 3.1 * number)
-        wide = (band - a_line(0.1 + 0.05 * number, 93.37 + 3.1 * number)[0]).astype(bool)
-        shift = 3.5 / np.hypot(1, 0.1 + 0.05 * number)
-        centre = pixels(cv2.ximgproc.thinning(wide.view(np.uint8) * 255))
-        errors["thinning"].append(np.mean(np.abs(off(centre) - shift)))
-        errors.setdefault("ours, centre line", []).append(
-            np.mean(np.abs(off(centre_lines(wide, settings)) - shift))
-        )
-    for name, found in errors.items():
-        print(f"known line, {name}: {np.mean(found):.3f} px off")
-    poles(folder)
+    lines()
+    for half, streets in HALVES.items():
+        shown = [view for street in streets for view in views(data / "street_scans" / street)]
+        for name, smoother in SMOOTHERS.items():
+            print(f"{half}, {name}: {poles(shown, smoother, AXES['rows of the mask (ours)'])}")
+        for name, axis in AXES.items():
+            print(f"{half}, {name}: {poles(shown, SMOOTHERS['as the network gave it'], axis)}")
+    drives = [data / "videolog" / name / "images" for name in ("kitti_0009", "kitti_04")]
+    hashes([*drives, *(data / "street_scans" / street / "images" for street in ("02", "06"))])
     return 0
 
 
-def poles(folder: Path) -> None:
-    """Axes of known poles, and how long axes take on real masks."""
-    detector = cv2.ximgproc.createFastLineDetector(length_threshold=20)
-    errors: dict[str, list[float]] = {"ours": [], "fast line detector": []}
-    for number in range(40):
-        slope = -0.1 + 0.005 * number
-        v, u = np.mgrid[:375, :300]
-        own = (np.abs(u - 150.3 - slope * (v - 180)) < 3.4) & (v > 60) & (v < 320)
-        mask = np.where(own, np.uint8(PixelClass.POLE), np.uint8(0))
-        errors["ours"].append(abs(find_instances(mask)[0].slope - slope))
-        lines = detector.detect(own.view(np.uint8) * 255)
-        upright = [one for one in lines.reshape(-1, 4) if abs(one[3] - one[1]) > 100]
-        slopes = [(one[2] - one[0]) / (one[3] - one[1]) for one in upright]
-        errors["fast line detector"].append(abs(np.mean(slopes) - slope) if slopes else np.nan)
-    for name, found in errors.items():
-        print(f"known pole, {name}: {np.degrees(np.nanmean(found)):.3f} degrees off")
-    times = []
-    for file in sorted((folder / "masks").rglob("*.png"))[:_MOST]:
-        own = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) == _POLE
-        mask = np.where(own, np.uint8(PixelClass.POLE), np.uint8(0))
-        found, own_ms = timed(lambda m=mask: find_instances(m))
-        lines, their_ms = timed(lambda m=own: detector.detect(m.view(np.uint8) * 255))
-        times.append((own_ms, their_ms, len(found), 0 if lines is None else len(lines)))
-    means = np.mean(times, axis=0)
-    print(f"poles: {len(times)} images, ours {means[0]:.1f} ms, theirs {means[1]:.1f} ms,")
-    print(f"  {means[2]:.1f} objects in an image, {means[3]:.1f} lines")
-
-
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(Path(os.environ["ROADSIGHT_DATA"])))

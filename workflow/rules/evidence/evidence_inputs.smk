@@ -19,6 +19,7 @@ def told_doubts(wildcards):
     if has_scene_page(wildcards.site) or pavement_for_poles(wildcards.site):
         told.append(rules.extract_pavement.output.doubts)
     if wants(wildcards.site, "poles"):
+        told += [rules.profile_drive.output.doubts]
         told += [rules.triangulate_poles.output.doubts, rules.rate_hazard.output.doubts]
         told += (
             [rules.calibrate_drive.output.doubts]

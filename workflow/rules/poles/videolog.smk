@@ -45,6 +45,7 @@ checkpoint profile_drive:
         code=sources("profile_drive"),
     output:
         drive="results/{site}/poles/drive.json",
+        doubts="results/{site}/doubts/profile_drive.json",
     log:
         log_of("profile_drive"),
     benchmark:
@@ -56,7 +57,8 @@ checkpoint profile_drive:
         images_sha256=image_digest(),
     shell:
         "python -m roadsight.stages.poles.profile_drive --frames {input.frames} --dem {input.dem}"
-        " --frame {input.frame} --images {params.images:q} --out {output.drive} > {log} 2>&1"
+        " --frame {input.frame} --images {params.images:q} --doubts {output.doubts}"
+        " --out {output.drive} > {log} 2>&1"
 
 
 rule segment_images:

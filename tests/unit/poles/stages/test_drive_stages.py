@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -49,7 +50,7 @@ def drive(tmp_path_factory):
     write_json(folder / "frame.json", FRAME.to_dict())
     write_raster(folder / "dem.tif", np.zeros((80, 200)), FRAME, -50.0, 40.0, 1.0)
     options = ["--frames", "frames.parquet", "--dem", "dem.tif", "--frame", "frame.json"]
-    options += ["--images", "images", "--out", "drive.json"]
+    options += ["--images", "images", "--doubts", "doubts.json", "--out", "drive.json"]
     named = [str(folder / o) if not o.startswith("--") else o for o in options]
     assert profile_drive.main(named) == 0
     return folder
@@ -63,6 +64,20 @@ def test_a_level_drive_without_side_views_and_with_a_bent_lens(drive):
     assert lens["source"] == "plumb lines"
     assert lens["corner_px"] == pytest.approx(LENS.corner_px(*SIZE), abs=3 * lens["sigma_px"])
     assert abs(lens["corner_px"]) > 3 * lens["sigma_px"]
+
+
+def test_images_that_repeat_the_one_before_are_reported(drive, tmp_path):
+    assert read_json(drive / "doubts.json") == []
+    shutil.copytree(drive, tmp_path / "hung")
+    images = tmp_path / "hung/images"
+    shutil.copy(images / "i06.jpg", images / "i07.jpg")
+    options = ["--frames", "frames.parquet", "--dem", "dem.tif", "--frame", "frame.json"]
+    options += ["--images", "images", "--doubts", "doubts.json", "--out", "drive.json"]
+    named = [str(tmp_path / "hung" / o) if not o.startswith("--") else o for o in options]
+    assert profile_drive.main(named) == 0
+    (doubt,) = read_json(tmp_path / "hung/doubts.json")
+    assert (doubt["code"], doubt["measured"]) == ("images_repeated", 1)
+    assert "i07.jpg" in doubt["message"]
 
 
 def straight(folder, out, *more):

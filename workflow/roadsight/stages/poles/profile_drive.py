@@ -6,6 +6,7 @@ import json
 import logging
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -23,13 +24,21 @@ from roadsight.poles.drive.drive_profile import (
     keys_of,
     measured_lens,
 )
+from roadsight.poles.images.repeated_images import repeat_doubts, repeated_images
 from roadsight.stages.command import Command
+from roadsight.stages.doubts import tell
 
 log = logging.getLogger("profile_drive")
 
 
 def profile_drive(
-    frames_path: Path, dem: Path, frame_path: Path, images: str, *, out: Path
+    frames_path: Path,
+    dem: Path,
+    frame_path: Path,
+    images: str,
+    doubts: Annotated[Path | None, "what is wrong with the images"] = None,
+    *,
+    out: Path,
 ) -> None:
     """Write the profile of a site's drives."""
     frame = Frame.from_dict(read_json(frame_path))
@@ -46,6 +55,8 @@ def profile_drive(
         ],
     }
     log.info("%s", json.dumps(content))
+    if doubts:
+        tell(repeat_doubts(repeated_images(usable, picture)), doubts, images, log)
     write_json(out, content)
 
 
