@@ -1,4 +1,4 @@
-"""The pole job as published, by `config/published_poles.yaml`, on a small lane to its end."""
+"""The pole job as published, by `config/published.yaml`, on a small lane to its end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.conftest import PROJECT
 from tests.properties.poles_job import LENS, PolesJob, make_lane
 
 pytestmark = pytest.mark.xdist_group("poles_job")
-PUBLISHED = str(PROJECT / "config/published_poles.yaml")
+PUBLISHED = str(PROJECT / "config/published.yaml")
 
 
 @pytest.fixture(scope="module")

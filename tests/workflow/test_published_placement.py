@@ -11,7 +11,7 @@ from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.tables import read_about, read_table
 from tests.workflow.conftest import Checkout
 
-CONFIG = "config/published_placement.yaml"
+CONFIG = "config/published.yaml"
 FEWER = (
     "overrides={candidates: {spacing_m: 15, height_step_m: 3},"
     " coverage: {rounds: 2, closest_m: 1.5, shards: 1}}"

@@ -59,6 +59,8 @@ _FEWER_CANDIDATES = {"candidates": {"spacing_m": 20, "height_step_m": 3}}
 _FEWEST_CANDIDATES = {"candidates": {"spacing_m": 40, "height_step_m": 6}}
 """A depth map by network takes seconds, so that only a few candidates have one."""
 _FEW_IMAGES = {"videolog": {"every": 4}}
+_CLASSIFIED = {"ground": {"method": "robust"}}
+"""The pole study's cloud comes with its ground classified; the pillar rule is the other study's."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,10 @@ def runs(size: Size) -> dict[str, Run]:
             NETWORK_SITE, True, changes, plans, tuple(map(_solution, plans))
         )
     validated = ("poles/validation.json", "poles/camera_scores.json")
-    found["route-published"] = Run(POLE_SITE, True, {}, (), validated)
+    found["route-published"] = Run(POLE_SITE, True, _CLASSIFIED, (), validated)
     found["route-default"] = Run(POLE_SITE, False, {}, (), (*validated, "poles/components.json"))
     for feet in VOXELS_FT:
-        changes = {"voxels": {"voxel_size_m": round(feet * _FOOT_M, 4)}}
+        changes = _CLASSIFIED | {"voxels": {"voxel_size_m": round(feet * _FOOT_M, 4)}}
         found[f"route-voxel_{feet}"] = Run(
             POLE_SITE, True, changes, (), ("poles/road_edges.parquet",)
         )

@@ -89,7 +89,7 @@ class Cover(Section):
     )
     solver: Literal["own", "highs"] = Field(
         default="own",
-        description="own: what grew with plans like these; highs: HiGHS on the whole program",
+        description="own: roadsight's branch and bound; highs: HiGHS on the whole program",
     )
     verify: Literal["none", "highs"] = Field(
         default="none", description="check the bound of each finished plan by a run of HiGHS"
