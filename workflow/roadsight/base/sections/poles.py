@@ -194,8 +194,7 @@ class SideViews(Section):
 
     side_views: Literal["found", "given", "stitched"] = Field(
         default="found",
-        description="a side view whose yaw the drive does not tell: left out, or as given; or all"
-        " beside the front view in its plane, as published",
+        description="yaw of side views: found or none, or given; stitched: as published",
     )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")

@@ -39,8 +39,7 @@ class GroundFilter(Section):
 
     method: Literal["robust", "pillars"] = Field(
         default="robust",
-        description="pillars: the published rule, by each pillar's lowest point (no other setting"
-        " than its width and threshold)",
+        description="pillars: as published, from the lowest point of each pillar",
     )
     pillar_width_m: Metres = Field(
         default=0.2,
@@ -93,8 +92,7 @@ class GroundClasses(Section):
 
     thinning: Thinning = Field(
         default="columns",
-        description="ground points are thinned to one per column; voxels: per cube, as published,"
-        " and no distance of the outline is raised",
+        description="ground points are thinned by columns; voxels: by cubes, as published",
     )
     voxel_size_m: Metres = Field(
         default=0.1,
