@@ -179,8 +179,7 @@ class PoleMasks(Section):
 
     mask_rule: Literal["axes", "published"] = Field(
         default="axes",
-        description="what a pole is: upright parts by their axes and the numbers below, or as"
-        " published",
+        description="poles in a mask: by axes and the numbers below, or as published",
     )
 
     min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
