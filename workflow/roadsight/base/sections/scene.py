@@ -39,8 +39,7 @@ class GroundFilter(Section):
 
     method: Literal["robust", "pillars"] = Field(
         default="robust",
-        description="pillars: the published rule, by each pillar's lowest point (no other setting"
-        " than its width and threshold)",
+        description="pillars: published rule, by the lowest point; takes width, threshold alone",
     )
     pillar_width_m: Metres = Field(
         default=0.2,
@@ -93,8 +92,7 @@ class GroundClasses(Section):
 
     thinning: Thinning = Field(
         default="columns",
-        description="ground points are thinned to one per column; voxels: per cube, as published,"
-        " and no distance of the outline is raised",
+        description="voxels: one ground point per cube, as published; no distance is raised",
     )
     voxel_size_m: Metres = Field(
         default=0.1,
