@@ -20,7 +20,7 @@ OTHER = {
     "base/seeds.py": ("SEED", "where the default stands"),
     "base/shards.py": ("shards", "the whole, where nothing is shared out"),
     "evidence/costs.py": ("images shards rounds", "amounts of a mile"),
-    "evidence/hardcases": ("radius_m width_m points", "what a hard case is made of"),
+    "evidence/hardcases": ("radius_m points", "what a hard case is made of"),
     "evidence/truth": ("farthest_m", "points of a frame of real data"),
     "placement/candidates/candidates.py": ("reach_m", "length of edge that says a direction"),
     "poles/alignment/landmarks.py": ("axis_px nearest_m farthest_m", "errors and reach of poles"),

@@ -406,8 +406,8 @@ class TestShipped:
         learnt = pixel_errors([pairs], shipped(NETWORKS[1]))["pixel_rmse_m"]
         assert learnt < 0.7 * np.sqrt(np.mean((given - target) ** 2))
 
-    @pytest.mark.parametrize("way", ["unet", "unet_mask"])
-    def test_the_network_of_33_layers_sees_the_ground_both_ways(self, way):
+    @pytest.mark.parametrize(("way", "bound_m"), [("unet", 3.0), ("unet_mask", 0.3)])
+    def test_the_network_of_33_layers_sees_the_ground_both_ways(self, way, bound_m):
         rng = np.random.default_rng(2)
         ground = np.column_stack([rng.uniform(-30, 30, (200_000, 2)), np.zeros(200_000)])
         sensor = SENSORS["OS-32"].thinned(16)
@@ -416,5 +416,5 @@ class TestShipped:
         down = sensor.elevation_deg < -12
         expected = -5.0 / np.sin(np.radians(sensor.elevation_deg[down]))
         off_m = np.abs(depth[down] - expected[:, None])
-        assert np.median(off_m) < 1.0
+        assert np.median(off_m) < bound_m  # a regression is decimetres to metres off
         assert (depth[sensor.elevation_deg > 10] > 0).mean() < 0.1

@@ -39,7 +39,7 @@ class GroundFilter(Section):
 
     method: Literal["robust", "pillars"] = Field(
         default="robust",
-        description="pillars: as published, from the lowest point of each pillar",
+        description="pillars: published rule, by the lowest point; takes width, threshold alone",
     )
     pillar_width_m: Metres = Field(
         default=0.2,
@@ -92,7 +92,7 @@ class GroundClasses(Section):
 
     thinning: Thinning = Field(
         default="columns",
-        description="ground points are thinned by columns; voxels: by cubes, as published",
+        description="voxels: one ground point per cube, as published; no distance is raised",
     )
     voxel_size_m: Metres = Field(
         default=0.1,

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.engines import OWN, Engine
-from roadsight.base.sections.scene import Thinning
+from roadsight.base.sections.scene import GroundClasses, Thinning
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
 from roadsight.scene.pavement.smoothness import local_intensity
 from roadsight.scene.surfels.thinning import column_means
+
+_USUAL = GroundClasses().thinning
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ def describe_ground(
     column_m: float,
     neighbours: int,
     engine: Engine = OWN,
-    thinning: Thinning = "columns",
+    thinning: Thinning = _USUAL,
 ) -> GroundDescription:
     """Thin ground points to columns or cubes and describe each.
 

@@ -13,12 +13,13 @@ from shapely.geometry import shape
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.scene import PavementOutline, Thinning
+from roadsight.base.sections.scene import GroundClasses, PavementOutline, Thinning
 from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.normals import nearest_neighbours, plane_residuals_m
 
+_USUAL = GroundClasses().thinning
 _SMALLEST_AREA_M2 = 200.0
 """Less pavement than this is no road."""
 _ROUGHEST_M = 0.05
@@ -26,7 +27,7 @@ _ROUGHEST_M = 0.05
 
 
 def pavement_settings_for(
-    column_m: float, settings: PavementOutline, thinning: Thinning = "columns"
+    column_m: float, settings: PavementOutline, thinning: Thinning = _USUAL
 ) -> PavementOutline:
     """Distances of the outline at least a few thinned columns wide; with voxels, as they are set.
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from roadsight.base.arrays import Floats, Ints
-from roadsight.base.sections.scene import Thinning
+from roadsight.base.sections.scene import GroundClasses, Thinning
 from roadsight.scene.grids import Grid
+
+_USUAL = GroundClasses().thinning
 
 
 def column_means(
-    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = "columns"
+    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = _USUAL
 ) -> tuple[Floats, Floats, Ints]:
     """Centroid and mean values of each occupied grid column, row by row from the south-west.
 

@@ -38,7 +38,7 @@ def densify_candidates(
     candidates: Annotated[Sequence[Path], "of all rounds before"],
     plans: Annotated[Sequence[str], "plan=sensor,sensor"],
     radius_m: Annotated[float, Coverage],
-    closest_m: Annotated[float, Coverage] = 0.0,
+    closest_m: Annotated[float, Coverage],
     *,
     out: Path,
 ) -> None:

@@ -91,13 +91,13 @@ class ObstacleFiles(AllowedFiles):
     lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
     objects: Annotated[Path | None, "surfels of the objects of the scene"] = None
     target_height_m: float = 0.6
-    method: Annotated[str, ObstacleSettings] = "sight_lines"
+    method: Annotated[str, ObstacleSettings]
     target_radius_m: Annotated[float, "cells: of a target, a cylinder"] = 0.25
     depth: Annotated[Sequence[Path], "cells: depth maps of the plan's sensors"] = ()
     cloud: Annotated[Path | None, "cells: the points of the scene"] = None
     traffic: Annotated[Path | None, "cells: mask of points to leave out"] = None
     tilts: Annotated[Sequence[Path], "cells: how mounts lean"] = ()
-    azimuth_stride: Annotated[int, Lidar] = 1
+    azimuth_stride: Annotated[int, Lidar]
     curvature: Literal["simulate", "skip"] = "skip"
 
 
