@@ -29,7 +29,7 @@ def own() -> Frame:
 
 @pytest.fixture(scope="module")
 def exact(own: Frame) -> ExactHighway:
-    return ExactHighway(1, 60.0, own)
+    return ExactHighway(build_highway(1, 60.0), own)
 
 
 def above_the_road(exact: ExactHighway) -> np.ndarray:
@@ -48,9 +48,8 @@ def test_heights_are_those_of_the_road(exact: ExactHighway) -> None:
 
 def test_another_local_origin_changes_nothing_but_the_numbers(own: Frame, exact) -> None:
     moved_by = np.array([120.0, -40.0, 7.0])
-    moved = ExactHighway(
-        1, 60.0, Frame(tuple(np.array(own.origin) + moved_by), crs_wkt=own.crs_wkt)
-    )
+    frame = Frame(tuple(np.array(own.origin) + moved_by), crs_wkt=own.crs_wkt)
+    moved = ExactHighway(build_highway(1, 60.0), frame)
     place = above_the_road(exact)
     there = moved.depth_map(SENSOR, place - moved_by, 30.0)
     assert there == pytest.approx(exact.depth_map(SENSOR, place, 30.0), abs=1e-4)

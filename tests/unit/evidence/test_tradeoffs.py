@@ -125,6 +125,10 @@ class TestFile:
             ({"levels": [2.0, 1.0]}, "no level has the default 0.5"),
             ({"levels": [0.5, -1.0]}, r"levels.-1: ground.dem_cell_m"),
             ({"levels": [0.5]}, "levels"),
+            (
+                {"knob": "lidar.model", "levels": ["surfel", "magic"]},
+                "studies.s.levels.magic: lidar.model",
+            ),
             ({"measures": [{"stage": "bild_dem", "metric": "dem_rmse_m"}]}, "unknown stage 'bild_"),
             ({"measures": [{"stage": "all", "metric": "speed"}]}, "unknown metric 'speed'"),
             ({"measures": [{"stage": "all", "metric": "missed_poles"}]}, "of the job poles"),

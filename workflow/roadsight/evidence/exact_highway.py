@@ -11,7 +11,7 @@ from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.terrain import height_at
-from roadsight.synthetic.highway.highway import build_highway
+from roadsight.synthetic.highway.highway import Highway
 
 
 class ExactHighway:
@@ -19,17 +19,25 @@ class ExactHighway:
 
     Parameters
     ----------
-    seed, length_m : what the site was generated from. frame : local frame of the results.
+    highway : the generated scene. frame : local frame of the results.
     """
 
-    def __init__(self, seed: int, length_m: float, frame: Frame) -> None:
-        self._highway = build_highway(seed, length_m)
+    def __init__(self, highway: Highway, frame: Frame) -> None:
+        self._highway = highway
+        self._maps: dict[tuple[Sensor, bytes, float], Floats32] = {}
         own = self._highway.frame()
         self._shift_m = own.to_local(frame.to_native(np.zeros((1, 3))))[0]
 
     def depth_map(self, sensor: Sensor, position_m: Floats, yaw_deg: float) -> Floats32:
-        """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range."""
-        return exact_ranges(self._highway.scene, sensor, position_m + self._shift_m, yaw_deg)
+        """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range.
+
+        Each map is cast once: several metrics look at the same sensors.
+        """
+        key = sensor, np.asarray(position_m, np.float64).tobytes(), yaw_deg
+        if key not in self._maps:
+            place_m = position_m + self._shift_m
+            self._maps[key] = exact_ranges(self._highway.scene, sensor, place_m, yaw_deg)
+        return self._maps[key]
 
     def sees(self, sensor: Sensor, position_m: Floats, yaw_deg: float, feet_m: Floats) -> Bools:
         """Which targets (n, 3) a sensor sees, by the threshold and size of the default targets."""

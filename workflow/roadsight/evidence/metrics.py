@@ -6,7 +6,7 @@ Each list of jobs looks up what there is to measure, and needs none of the modul
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -108,7 +108,7 @@ def _images_wrong(results: Results) -> float:
 
 def _images_with_fewer_poles(results: Results) -> float:
     """Share of the images that show fewer poles than at the base settings."""
-    base = type(results)(results.base, results.base, results.seed, results.length_m, "", {})
+    base = replace(results, folder=results.base)
     counts = [
         part.tables("poles/sightings/*.parquet").query("kept").groupby("image").size()
         for part in (base, results)
@@ -185,8 +185,19 @@ METRICS: dict[str, Metric] = {
         default_targets=True,
         depth_maps=True,
     ),
+    "detections_false": Metric(
+        "Detections that are false: the target is hidden",
+        "share",
+        "placement",
+        0.0,
+        _EXACT,
+        _of_placement("detections_false"),
+        _PLAN,
+        default_targets=True,
+        depth_maps=True,
+    ),
     "targets_lost": Metric(
-        "Targets said to be seen that are not",
+        "Claimed targets that the sensors do not see in truth",
         "share",
         "placement",
         0.0,
@@ -238,6 +249,25 @@ METRICS: dict[str, Metric] = {
         "all targets",
         _of_placement("unseen"),
         _PLAN,
+    ),
+    "road_unclaimed": Metric(
+        "Road that the plan does not claim to cover",
+        "share",
+        "placement",
+        0.0,
+        "the exact carriageways",
+        _of_placement("road_unclaimed"),
+        _PLAN,
+    ),
+    "road_unseen": Metric(
+        "Road that the plan's sensors do not see in truth",
+        "share",
+        "placement",
+        0.0,
+        _EXACT,
+        _of_placement("road_unseen"),
+        _PLAN,
+        default_targets=True,
     ),
     "lost_to_a_failure": Metric(
         "Targets lost when the worst sensor fails",
@@ -291,7 +321,13 @@ METRICS: dict[str, Metric] = {
         "Poles missed", "count", "poles", 0.0, _EXACT, _missed_poles, _VALIDATION
     ),
     "false_poles": Metric(
-        "Poles that are none", "count", "poles", 0.0, _EXACT, _false_poles, _VALIDATION
+        "False positives among poles",
+        "count",
+        "poles",
+        0.0,
+        _EXACT,
+        _false_poles,
+        _VALIDATION,
     ),
     "heading_error_deg": Metric(
         "Heading error, 90th percentile", "deg", "poles", 0.0, _EXACT, _heading_error_deg, _CAMERAS

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats32
+from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
 from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
@@ -25,7 +28,7 @@ from roadsight.placement.sight.wanted import beams_wanted
 _MAPS = 6
 """Depth maps that are compared with exact ones; more would take longer to cast."""
 _STEP_M = 1.0
-"""Spacing of the places on the road where heights are compared."""
+"""Spacing of the places on the road where heights and coverage are compared."""
 
 
 def dem_rmse_m(results: Results) -> float:
@@ -68,7 +71,7 @@ def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
     targets = read_table(results.folder / "placement/targets.parquet")
     feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
     room_m = room_for(shape_of(Targets().model_dump()))
-    scene, simulated = results.scene, sensor.thinned(results.stride)
+    scene, simulated = results.scene, sensor.thinned(results.settings.lidar.azimuth_stride)
     for candidate, range_m in _spread([pair for path in files for pair in DepthMaps(path)]):
         pose = poses[candidate]
         place = pose[:3], float(pose[3])
@@ -78,18 +81,30 @@ def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
 
 def detections_wrong(results: Results) -> float:
     """Pairs of candidate and target that are wrongly seen or unseen, over those truly seen."""
+    ours, exact = _decisions(results)
+    return float((ours != exact).sum() / exact.sum()) if exact.any() else float("nan")
+
+
+def detections_false(results: Results) -> float:
+    """Share of the pairs said to be seen that are hidden in truth; NaN if none is said to be."""
+    ours, exact = _decisions(results)
+    return float(1 - exact[ours].mean()) if ours.any() else float("nan")
+
+
+def _decisions(results: Results) -> tuple[Bools, Bools]:
+    """Whether a few candidates see each target (candidates, targets): as detected, and in truth."""
     name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"
     poses = read_poses(folder / "candidates.parquet")
     targets = read_table(results.folder / "placement/targets.parquet")
     found = read_detections(sorted((folder / "detection" / name).iterdir()))
-    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
-    scene, wrong, seen = results.scene, 0, 0
+    feet_m, scene = targets[["x", "y", "z"]].to_numpy(np.float64), results.scene
+    ours, exact = [], []
     for candidate, pose in _spread(list(poses.items())):
-        exact = scene.sees(sensor, pose[:3], float(pose[3]), feet_m)
-        ours = targets["target"].isin(found.loc[found["candidate"] == candidate, "target"])
-        wrong, seen = wrong + int((exact != ours).sum()), seen + int(exact.sum())
-    return wrong / seen if seen else float("nan")
+        own = found.loc[found["candidate"] == candidate, "target"]
+        ours.append(targets["target"].isin(own).to_numpy())
+        exact.append(scene.sees(sensor, pose[:3], float(pose[3]), feet_m))
+    return np.array(ours), np.array(exact)
 
 
 def _spinning(results: Results) -> tuple[str, Sensor]:
@@ -108,9 +123,54 @@ def _spread(items: list[Any]) -> list[Any]:
 def targets_lost(results: Results) -> float:
     """Share of the targets said to be covered that the chosen sensors do not see in truth."""
     solution = _solution(results)
+    feet_m = _claimed(results, solution)[["x", "y", "z"]].to_numpy(np.float64)
+    return float(1 - _seen_in_truth(results, solution, feet_m).mean())
+
+
+def road_unseen(results: Results) -> float:
+    """Share of the carriageways, in cells of 1 m, where the sensors do not see a target in truth.
+
+    Carriageways are the same at any density of the cloud; targets are only where a pavement was
+    found.
+    """
+    xy_m, height_m = results.scene.road_heights(_STEP_M)
+    feet_m = np.column_stack([xy_m, height_m])
+    return float(1 - _seen_in_truth(results, _solution(results), feet_m).mean())
+
+
+def road_unclaimed(results: Results) -> float:
+    """Share of the same cells that lie in the cell of no target said to be covered."""
+    claimed = _claimed(results, _solution(results))[["x", "y"]].to_numpy(np.float64)
+    xy_m, _ = results.scene.road_heights(_STEP_M)
+    if not len(claimed):
+        return 1.0
+    # Half the diagonal of a target's cell: the two grids are turned against each other.
+    half_m = results.settings.targets.cell_size_m * np.sqrt(0.5)
+    away_m, _ = cKDTree(claimed).query(xy_m)
+    return float((away_m > half_m).mean())
+
+
+def _claimed(results: Results, solution: dict) -> pd.DataFrame:
+    """Targets that the plan says are covered.
+
+    Raises
+    ------
+    InputError : the plan has a budget or prices, and does not list what it covers.
+    """
     targets = read_table(results.folder / "placement/targets.parquet")
     claimed = targets[~targets["target"].isin(solution["excluded"])]
-    feet_m = claimed[["x", "y", "z"]].to_numpy(np.float64)
+    if len(claimed) != solution["covered_targets"]:
+        raise InputError(
+            "leaves targets unseen that candidates see, and does not list what it claims to cover",
+            where=f"plan {results.plan}",
+            found=f"{solution['covered_targets']} of {len(claimed)} targets",
+            hint="measure unseen or road_unseen instead",
+        )
+    return claimed
+
+
+def _seen_in_truth(results: Results, solution: dict, feet_m: Floats) -> Bools:
+    """Whether any chosen sensor sees a default target at each foot (n, 3) in the exact scene."""
     scene, seen = results.scene, np.zeros(len(feet_m), bool)
     for chosen in solution["sensors"]:
         sensor = results.sensors[chosen["sensor"]]
@@ -119,7 +179,7 @@ def targets_lost(results: Results) -> float:
             seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
         else:
             seen |= sees_in_pose(scene, sensor, chosen, feet_m)
-    return float(1 - seen.mean())
+    return seen
 
 
 def sensors(results: Results) -> float:

@@ -38,6 +38,8 @@ def _view(rows: Sequence[Row]) -> dict[str, Any]:
         "reference": default["reference"],
         "svg": _chart(rows),
         "rows": [_shown(row) for row in rows],
+        # Where a perfect result is 0, a value is its own error.
+        "has_error": any(row["value"] != row["error_vs_reference"] for row in rows),
         "on_frontier": default["on_frontier"],
         "verdict": verdict(rows),
     }

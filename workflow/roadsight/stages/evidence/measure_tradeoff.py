@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sample import Sample
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.refusals import refuse_other_targets, refuse_sensors_without_maps
@@ -43,7 +44,8 @@ def measure_tradeoff(
     changes = json.loads(changes_json)
     if plan:
         config["plans"] = [plan]
-    resolved = _site(config, site, changes)
+    base, _ = _site(config, site, {})
+    resolved, sample = _site(config, site, changes)
     sensors = _sensors(resolved, config)
     for name in metrics:
         if name not in METRICS:
@@ -57,6 +59,13 @@ def measure_tradeoff(
     variant = Variant.prepare(".", work, config, site, changes)
     ran = variant.run(targets, cores)
     log.info("ran %s", ", ".join(f"{rule} {count}" for rule, count in ran.items()) or "nothing")
+    if not ran and resolved.settings != base.settings:
+        raise InputError(
+            "no rule behind the metrics uses what this level changes",
+            where=f"metric {', '.join(metrics)}",
+            found=changes_json,
+            hint="measure what the setting changes, or vary another setting",
+        )
     records = variant.records(targets)
     costs = stage_costs(records)
     for stage in stages:
@@ -69,7 +78,10 @@ def measure_tradeoff(
         jobs = [record for record in records if record.rule == stage]
         again = variant.repeat(targets, jobs, repeats - 1, cores)
         costs[stage] = cheapest([costs[stage], *(stage_costs(part)[stage] for part in again)])
-    results = _results(variant, resolved, sensors)
+    plan = next(iter(resolved.plans))
+    results = Results(
+        variant.result(""), Path("results") / site, resolved.settings, sample, plan, sensors
+    )
     values = {name: METRICS[name].value(results) for name in metrics}
     known = {name: _known(value) for name, value in values.items()}
     write_json(out, {"metrics": known, "stages": as_json(costs)})
@@ -81,13 +93,15 @@ def _known(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _site(config: dict[str, Any], name: str, changes: dict[str, Any]) -> ResolvedSite:
-    """The site at the level's settings."""
+def _site(
+    config: dict[str, Any], name: str, changes: dict[str, Any]
+) -> tuple[ResolvedSite, Sample]:
+    """The site at the level's settings, and the scene that it generates."""
     overrides = merged(config["overrides"], changes)
     site = load_sites(load_config(config | {"overrides": overrides}))[name]
     if site.site.sample is None:
         raise InputError("is no generated site, so that its truth is unknown", where=f"site {name}")
-    return site
+    return site, site.site.sample
 
 
 def _targets(metrics: Sequence[str], site: ResolvedSite) -> list[str]:
@@ -101,19 +115,6 @@ def _sensors(site: ResolvedSite, config: dict[str, Any]) -> dict[str, AnySensor]
     """Sensors of the plan that is looked at; none where no sensor is placed."""
     known = load_sensors(config["sensors_file"])
     return {name: known[name] for plan in list(site.plans.values())[:1] for name in plan.sensors}
-
-
-def _results(variant: Variant, site: ResolvedSite, sensors: dict[str, AnySensor]) -> Results:
-    sample = site.site.sample
-    return Results(
-        variant.result(""),
-        Path("results") / variant.site,
-        site.settings.seed,
-        0.0 if sample is None else sample.length_m,
-        next(iter(site.plans)),
-        sensors,
-        site.settings.lidar.azimuth_stride,
-    )
 
 
 main = Command(measure_tradeoff)
