@@ -11,7 +11,7 @@ from scipy import sparse
 
 from roadsight import __version__
 from roadsight.base.arrays import Bools, Floats
-from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.deadline import Deadline, Patience
 from roadsight.setcover.common.relaxation import quiet_highs
 from roadsight.setcover.common.result import HIGHS
 
@@ -74,7 +74,7 @@ def run_program(
     """Solve a program with one thread and a fixed seed.
 
     By a `WorkLimit` the answer is the same on any machine: the limit counts how often the solver
-    looks whether it should stop.
+    looks whether it should stop. It also stops where neither bound nor answer move (`Patience`).
 
     Parameters
     ----------
@@ -96,9 +96,13 @@ def run_program(
         solution.col_value = start
         highs.setSolution(solution)
 
+    patience = Patience(limit)
+
     def look(event: highspy.HighsCallbackEvent) -> None:
         limit.spend(_LOOK_S)
-        if limit.passed() or event.data_out.mip_dual_bound >= enough:
+        bound, best = event.data_out.mip_dual_bound, event.data_out.mip_primal_bound
+        moved = math.ceil(bound / step - 1e-6) if step and math.isfinite(bound) else bound
+        if limit.passed() or bound >= enough or patience.is_over((moved, best)):
             event.data_in.user_interrupt = True
 
     highs.cbMipInterrupt.subscribe(look)
