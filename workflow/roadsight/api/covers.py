@@ -13,6 +13,7 @@ from scipy import sparse
 from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+from roadsight.setcover.common.result import HIGHS, OWN
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.whole import solve_whole
 
@@ -28,7 +29,7 @@ def cover(
     seconds: float | None = None,
     gap: float = 0.0,
     seed: int = SEED,
-    solver: Literal["own", "highs"] = "own",
+    solver: Literal["own", "highs"] = OWN,
 ) -> Cover:
     """Cheapest choices that cover every target, with the bound that proves it (paper 1, Eqs. 5-7).
 
@@ -68,6 +69,6 @@ def cover(
     if not sparse.issparse(matrix):
         matrix = sparse.csr_matrix(np.asarray(matrix))
     problem = CoverProblem(matrix, costs, groups, at_least, mandatory, forbidden)
-    if solver == "highs":
+    if solver == HIGHS:
         return solve_whole(Deployment(problem), seconds, gap)
     return solve_cover_problem(problem, seconds, seed, gap)

@@ -23,6 +23,7 @@ from roadsight.io.records.matrices import read_matrix, read_vector
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.program import version
+from roadsight.setcover.common.result import HIGHS
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.second import chosen_again
 from roadsight.setcover.plans.whole import solve_whole, verify
@@ -57,7 +58,7 @@ def run(
     )
     asked = asked_of(given, problem)
     limit, seed = given.time_limit, given.seed
-    if given.solver == "highs":
+    if given.solver == HIGHS:
         cover = solve_whole(asked.deployment, limit)
     elif asked.plain:
         cover = solve_cover_problem(problem, limit, seed)

@@ -14,6 +14,7 @@ from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_vector
 from roadsight.setcover import Cover, CoverProblem
 from roadsight.setcover.common.problem import objective_step
+from roadsight.setcover.common.result import OWN
 from roadsight.setcover.plans.alternatives import replacements
 from roadsight.setcover.plans.budget import budgeted
 from roadsight.setcover.plans.conflicts import spacing_cliques
@@ -50,7 +51,7 @@ class CoverOptions:
         "of the cheapest, choose the rows that cover most targets once more; at most so long,"
         " seconds, counted in steps of work",
     ] = None
-    solver: Annotated[Literal["own", "highs"], "highs: HiGHS on the whole integer program"] = "own"
+    solver: Annotated[Literal["own", "highs"], "highs: HiGHS on the whole integer program"] = OWN
     verify: Annotated[
         float | None, "let HiGHS check the bound, at most so long, seconds of counted work"
     ] = None

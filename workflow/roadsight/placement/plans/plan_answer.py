@@ -15,7 +15,7 @@ from roadsight.base.errors import InputError
 from roadsight.placement.plans.plan_problem import Asked, Posed
 from roadsight.setcover.common.deadline import Effort
 from roadsight.setcover.common.problem import objective_step
-from roadsight.setcover.common.result import INFEASIBLE, Cover
+from roadsight.setcover.common.result import HIGHS, INFEASIBLE, Cover
 from roadsight.setcover.cover.solve import solve_cover_problem
 from roadsight.setcover.plans.alternatives import most_different, replacements
 from roadsight.setcover.plans.curve import coverage_curve, spread_budgets
@@ -110,7 +110,7 @@ def answer(
 def _solve(deployment: Deployment, effort: Effort, seed: int, gap: float) -> Cover:
     """A plain cover by the solver for covers, all else as a deployment."""
     limit = effort.limit()
-    if effort.solver == "highs":
+    if effort.solver == HIGHS:
         return solve_whole(deployment, limit, gap)
     plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
     if plain and math.isinf(deployment.budget):

@@ -6,6 +6,8 @@ import time
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from roadsight.setcover.common.result import OWN
+
 _LEAST_PATIENCE_S = 30.0
 """Work without a move that is always borne: with 5 s a plan of six sensors on a real street stayed
 unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway)
@@ -125,7 +127,7 @@ class Effort:
 
     seconds: float
     patience: float = 0.0
-    solver: str = "own"
+    solver: str = OWN
 
     def limit(self) -> WorkLimit:
         """The limit of one search."""

@@ -12,6 +12,9 @@ OPTIMAL = "optimal"
 TIME_LIMIT = "time_limit"
 WITHIN_GAP = "within_gap"
 INFEASIBLE = "infeasible"
+OWN = "own"
+HIGHS = "highs"
+"""Solvers: ours, and HiGHS on a whole integer program."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,8 @@ class Cover:
     reductions: dict[str, int] = field(default_factory=dict)
     lp_bound: float | None = None
     nodes: int = 0
-    solver: str = "own"
-    proved_by: str = "own"
+    solver: str = OWN
+    proved_by: str = OWN
 
 
 def is_within(gap: float, objective: float, bound: float) -> bool:

@@ -15,6 +15,7 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import NEAR, Instance
 from roadsight.setcover.common.program import Program, run_program
 from roadsight.setcover.common.relaxation import Node
+from roadsight.setcover.common.result import HIGHS
 from roadsight.setcover.cover.search import Outcome
 
 _MOST_ENTRIES = 60_000
@@ -60,7 +61,7 @@ def branch_by_highs(
         chosen[np.flatnonzero(alive)[found.x > 0.5]] = True
         if _is_cover(instance, chosen) and float(instance.cost[chosen].sum()) < cost:
             best = chosen
-    return Outcome(best, min(bound, float(instance.cost[best].sum())), found.nodes, "highs")
+    return Outcome(best, min(bound, float(instance.cost[best].sum())), found.nodes, HIGHS)
 
 
 def cover_program(instance: Instance, fixed: Bools) -> Program:

@@ -13,7 +13,7 @@ from roadsight.setcover.common.kernels import drop_dominated_choices, pack_bits,
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import MAX_BITS, arrays
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
-from roadsight.setcover.common.result import is_within
+from roadsight.setcover.common.result import OWN, is_within
 from roadsight.setcover.common.tree import BestFirst, is_settled, tighten
 from roadsight.setcover.cover.branching import divide
 from roadsight.setcover.cover.closing import Closing
@@ -41,7 +41,7 @@ class Outcome:
     best: Bools | None
     bound: float
     nodes: int
-    proved_by: str = "own"
+    proved_by: str = OWN
 
 
 class Search(BestFirst):

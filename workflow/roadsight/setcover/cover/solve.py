@@ -16,8 +16,10 @@ from roadsight.setcover.common.problem import CoverProblem, Instance
 from roadsight.setcover.common.reductions import Reduced, reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
 from roadsight.setcover.common.result import (
+    HIGHS,
     INFEASIBLE,
     OPTIMAL,
+    OWN,
     TIME_LIMIT,
     WITHIN_GAP,
     Cover,
@@ -319,5 +321,5 @@ def _assemble(
         reduced.counts,
         lp,
         sum(one.outcome.nodes for one in solved),
-        proved_by="highs" if any(o.outcome.proved_by == "highs" for o in solved) else "own",
+        proved_by=HIGHS if any(o.outcome.proved_by == HIGHS for o in solved) else OWN,
     )

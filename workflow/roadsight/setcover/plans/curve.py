@@ -12,7 +12,15 @@ from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WITHIN_GAP, is_within
+from roadsight.setcover.common.result import (
+    HIGHS,
+    INFEASIBLE,
+    OPTIMAL,
+    OWN,
+    TIME_LIMIT,
+    WITHIN_GAP,
+    is_within,
+)
 from roadsight.setcover.plans.cuts import Cut
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
@@ -46,7 +54,7 @@ def coverage_curve(
     gap: float = 0.0,
     known: Sequence[Ints] = (),
     full: float = 0.0,
-    solver: str = "own",
+    solver: str = OWN,
 ) -> list[CurvePoint]:
     """Points for increasing budgets; values and bounds never fall.
 
@@ -74,7 +82,7 @@ def coverage_curve(
         asked = base.with_budget(budget)
         starts = [*(p.chosen for p in points[-1:]), *known]
         part = deadline.part(len(ordered) - number)
-        if solver == "highs":
+        if solver == HIGHS:
             cover = solve_whole(asked, part, gap)
         else:
             found = solve_deployment(asked, part, seed, gap, starts, pool)

@@ -35,6 +35,7 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.program import Program, run_program, version
 from roadsight.setcover.common.reductions import uncoverable_targets
 from roadsight.setcover.common.result import (
+    HIGHS,
     INFEASIBLE,
     OPTIMAL,
     TIME_LIMIT,
@@ -115,8 +116,8 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
         reductions={"rows": deployment.problem.matrix.shape[0],
                     "columns": deployment.problem.matrix.shape[1]},
         nodes=found.nodes,
-        solver="highs",
-        proved_by="highs",
+        solver=HIGHS,
+        proved_by=HIGHS,
     )  # fmt: skip
 
 
@@ -129,13 +130,19 @@ def verify(deployment: Deployment, cover: Cover, limit: Deadline) -> Verified:
 
     Raises
     ------
-    ContradictionError : HiGHS proves more than the answer costs, or finds choices below its bound.
+    ContradictionError : the choices do not cost what is said, or are not allowed; HiGHS proves more
+        than they cost, or finds others below the bound.
     """
     scaled, unit, _ = deployment.normalised()
     seconds = limit.left_s()
     program, constant = whole_program(scaled)
     ours, value = cover.bound / unit, cover.objective / unit
     room = max(scaled.near(value), 1e-6 * scaled.step)
+    if not abs(scaled.objective(cover.chosen) - value) <= room:
+        raise ContradictionError(
+            f"the answer is said to cost {cover.objective:.10g}, but its choices cost"
+            f" {scaled.objective(cover.chosen) * unit:.10g}"
+        )
     least = ours - (scaled.step * (1 - 1e-6) if scaled.step else room)
     found = run_program(program, limit, 0.0, scaled.step, enough=least - constant + room)
     bound = scaled.round_up(found.bound + constant)
@@ -269,5 +276,5 @@ def _eye(rows: Ints, size: int) -> sparse.csr_matrix:
 
 def _infeasible(start: float) -> Cover:
     nothing, seconds = np.empty(0, np.int64), time.process_time() - start
-    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds, solver="highs",
-                 proved_by="highs")  # fmt: skip
+    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds, solver=HIGHS,
+                 proved_by=HIGHS)  # fmt: skip

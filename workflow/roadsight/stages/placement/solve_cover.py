@@ -34,7 +34,7 @@ from roadsight.placement.sight.coverage import availability, times_seen
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import Effort, WorkLimit
 from roadsight.setcover.common.program import version
-from roadsight.setcover.common.result import WITHIN_GAP
+from roadsight.setcover.common.result import HIGHS, WITHIN_GAP
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.whole import solve_whole, verify
 from roadsight.stages.command import Command
@@ -218,7 +218,7 @@ class _Again:
     ) -> None:
         self.record: dict[str, Any] | None = None
         self.verified: dict[str, Any] | None = None
-        self._verify_s = given.cover.verify_time_limit_s if given.cover.verify == "highs" else 0.0
+        self._verify_s = given.cover.verify_time_limit_s if given.cover.verify == HIGHS else 0.0
         self._limit_s = given.cover.second_time_limit_s if given.cover.second_objective else 0.0
         self._allowed, self._gap = looked_at, given.cover.gap
         self._cell_m = 0.0
@@ -272,7 +272,7 @@ def _cheapest(
 
 def _solve(given: CoverFiles, problem: CoverProblem) -> Cover:
     effort, seed, gap = _limits(given)
-    if effort.solver == "highs":
+    if effort.solver == HIGHS:
         return solve_whole(Deployment(problem), effort.limit(), gap)
     return solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
 
