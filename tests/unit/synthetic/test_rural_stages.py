@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from roadsight.io.images.baselines import read_baselines
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.images.videolog_shards import JpegShardWriter, write_csv
 from roadsight.stages.scene import generate_rural, render_videolog
@@ -51,6 +52,22 @@ def test_generate_twice_gives_the_same_bytes(tmp_path):
     ]
     text = (tmp_path / "a" / "v.csv").read_text().splitlines()[1].split(",")
     assert len(text[3].split(".")[1]) == 7
+
+
+def test_the_baseline_is_one_true_camera_rounded_to_what_an_eye_sets(tmp_path):
+    generate(tmp_path / "a")
+    found = read_baselines(tmp_path / "a" / "b.json")
+    cameras = pd.read_csv(tmp_path / "a" / "k.csv").query("view == 'front'")
+    assert set(found) == {"640x416", "640x448"}
+    for (route, width, height), own in cameras.groupby(["route", "width_px", "height_px"]):
+        stated, true = found[f"{width}x{height}"], own.iloc[len(own) // 2]
+        hfov_deg = np.degrees(2 * np.arctan2(0.5 * width, true["focal_px"]))
+        assert stated["hfov_deg"] == pytest.approx(hfov_deg, abs=0.051), route
+        assert stated["height_m"] == pytest.approx(true["height_above_road_m"], abs=0.051)
+        assert abs(stated["yaw_deg"]) < 4 and abs(stated["pitch_deg"]) < 4
+        numbers = [v for n, v in stated.items() if n not in ("sigma", "images")]
+        assert all(round(value, 1) == value for value in numbers)
+        assert stated["images"] == 1
 
 
 def test_shards_hold_every_image_once(tmp_path):

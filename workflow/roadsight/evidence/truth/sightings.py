@@ -1,4 +1,4 @@
-"""Poles from published street-view sightings beside the published method."""
+"""Poles from published street-view sightings beside the code published with them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from roadsight.poles.triangulate.rays import UNAIDED
 
 THRESHOLDS_M = (2, 4, 6)
 _SEEDS = 10
-"""Random orders of the published method, whose answer hangs on them."""
+"""Random orders of the published code, on which its answer depends."""
 
 
 def measure_sightings(dataset: str, files: Sequence[Path]) -> list[Figure]:

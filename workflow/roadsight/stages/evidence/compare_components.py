@@ -47,7 +47,7 @@ log = logging.getLogger("compare_components")
 
 Part = TypeVar("Part", bound=Section)
 SEEDS = 5
-"""Random orders of the published triangulation, whose median counts."""
+"""Random orders of the first study's code, whose median counts."""
 
 
 class PoleSettings(Section):
@@ -92,6 +92,7 @@ COMPONENTS = (
     "occlusion",
     "side_views",
     "deterministic_mrf",
+    "grouping_by_evidence",
     "pole_landmarks",
     "image_ties",
 )
@@ -100,7 +101,8 @@ COMPONENTS = (
 def compare_components(given: Given, *, out: Path) -> None:
     """Run the pole job from the cameras on with all components, and without each of them.
 
-    All runs have the site's own settings but for the component that is left out.
+    All runs have the site's own settings but for the component that is left out. Without grouping
+    by evidence, the study's sweep places the poles; without its determinism too, the first code.
     """
     settings = validated(PoleSettings, json.loads(given.settings_json), "settings")
     records = []
@@ -212,7 +214,7 @@ class _Variant:
         triangulate_poles(
             (self._path("sightings"),),
             given.frame,
-            self._settings.triangulation,
+            self._triangulation(),
             given.dem,
             voxels=given.voxels,
             poles_path=self._path("poles"),
@@ -222,8 +224,14 @@ class _Variant:
         )
         return self._scores()
 
+    def _triangulation(self) -> Triangulation:
+        own = self._settings.triangulation
+        if self._without != "grouping_by_evidence":
+            return own
+        return own.model_copy(update={"method": "sweep"})
+
     def _published(self, seed: int) -> dict[str, float]:
-        """Poles by the published triangulation in one random order."""
+        """Poles by the first study's code, which visits links in one random order."""
         sightings = read_table(self._path("sightings"))
         named = {
             "latitude": "lat",

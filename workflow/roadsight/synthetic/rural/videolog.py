@@ -253,6 +253,17 @@ def vehicle_rotation(
     return cam_from_world(heading, pitch, roll)
 
 
+def road_rotation(site: RuralSite, forward: bool, station: float) -> Floats:
+    """The same of the road at a station, as its edges have it: without the fall of one lane."""
+    way, edge_m = 1.0 if forward else -1.0, site.ground.section.pavement_m
+    heading = 90.0 - np.degrees(float(site.line.heading(station))) + (0.0 if forward else 180.0)
+    ends = site.ground.height(np.array([station - 1.4, station + 1.4]), 0.0)
+    sides = site.ground.height(station, np.array([-edge_m, edge_m]))
+    pitch = np.degrees(np.arctan2(way * (ends[1] - ends[0]), 2.8))
+    roll = np.degrees(np.arctan2(way * (sides[0] - sides[1]), 2.0 * edge_m))
+    return cam_from_world(heading, pitch, roll)
+
+
 def mounted(base: Floats, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Floats:
     """Rotation of a camera turned against another: right about its vertical, up, right side up."""
     return cam_from_world(yaw_deg, pitch_deg, roll_deg) @ _UP_FROM_CAMERA @ base

@@ -15,7 +15,7 @@ from roadsight.synthetic.rural.videolog import (
     Shot,
     attitude_of,
     mount_of,
-    vehicle_rotation,
+    road_rotation,
 )
 
 CAMERA_DECIMALS = (
@@ -65,23 +65,22 @@ def registered_cameras(site: RuralSite, drives: Sequence[Sequence[Shot]]) -> dic
     """Baseline of each image size, as a person would set it on one image by eye.
 
     No person has: it is the true camera of the image in the middle of each drive, against the
-    place that GPS gave it and the road's direction there, rounded to 0.1 m and 0.1 degrees.
+    place that GPS gave it and the road there, rounded to 0.1 m and 0.1 degrees.
     """
     found = {}
     for places in drives:
         shot = places[len(places) // 2]
         camera, lens = shot.cameras["front"], shot.cameras["front"].intrinsics
         forward = bool(places[-1].station_m > places[0].station_m)
-        _, offset = site.line.road(camera.position_m[:2])[0]
-        vehicle = vehicle_rotation(site, forward, shot.station_m, float(offset), 0.0)
-        right, _, ahead = vehicle
+        road = road_rotation(site, forward, shot.station_m)
+        right, _, ahead = road
         way = np.array([*(camera.position_m[:2] - shot.gps_xy_m), 0.0])
         numbers = {
             "hfov_deg": lens.hfov_deg,
             "along_m": way @ ahead,
             "lateral_m": way @ right,
             "height_m": camera.position_m[2] - shot.ground_m,
-        } | dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), mount_of(camera, vehicle), strict=True))
+        } | dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), mount_of(camera, road), strict=True))
         rounded = {name: round(float(value), 1) for name, value in numbers.items()}
         found[f"{lens.width_px}x{lens.height_px}"] = rounded | {"images": 1}
     return found
