@@ -108,6 +108,19 @@ def test_ground_is_that_of_the_truth(sample, truth, tmp_path, capsys):
     assert capsys.readouterr().out == f"{found.sum()} of {len(found)} points are ground: {out}\n"
 
 
+def test_ground_by_the_published_rule_takes_what_hides_it(sample, truth, tmp_path):
+    found = {}
+    for method in ("robust", "pillars"):
+        out = tmp_path / f"{method}.laz"
+        arguments = ["ground", str(sample / "cloud.laz"), "--method", method, "-o", str(out)]
+        assert main(arguments) == 0
+        found[method] = np.asarray(laspy.read(out).classification) == 2
+    true = np.isin(truth[TRUTH_DIMENSION], (TruthClass.GROUND, TruthClass.ROAD))
+    assert f1(found["pillars"], true) > 0.9
+    things = np.isin(truth[TRUTH_DIMENSION], (TruthClass.HIGH_VEGETATION, TruthClass.VEHICLE))
+    assert found["pillars"][things].mean() > 2 * found["robust"][things].mean()
+
+
 @pytest.fixture(scope="module")
 def paved(sample):
     out = sample / "paved.laz"

@@ -335,6 +335,8 @@ def published_road(
 ) -> FoundRoad:
     """Road as the connected smooth ground by FPFH and k-means (paper 1, section 2.2).
 
+    Thinned by columns, with the vote and the closing of the default settings, which are ours.
+
     Parameters
     ----------
     xyz_m : (n, 3) local metres. ground : (n,) ground labels. intensity : (n,).
