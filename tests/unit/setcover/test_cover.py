@@ -13,6 +13,8 @@ from roadsight.io.records.matrices import read_element_list, read_set_list
 from roadsight.setcover import CoverProblem, maximise_coverage, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.problem import objective_step
+from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.deployment import Deployment
 
 
 def subsets(choices):
@@ -258,6 +260,20 @@ def test_an_entry_that_is_no_count_is_refused_also_beside_a_larger_one(entry):
     matrix = sparse.coo_matrix(([5.0, entry], ([0, 0], [0, 0])), shape=(1, 1))
     with pytest.raises(InputError, match="negative or not finite"):
         CoverProblem(matrix)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1.0, 1e12])
+def test_a_greedy_cover_is_no_proof_whatever_the_unit(unit):
+    # Greedy takes 8, 4 and 2 targets; two rows of 7 do as well.
+    rows = [range(7), range(7, 14), [0, 1, 2, 3, 7, 8, 9, 10], [4, 5, 11, 12], [6, 13]]
+    matrix = np.array([np.isin(np.arange(14), row) for row in rows])
+    for costs in (np.ones(5), np.array([1.01, 1.02, 1.0, 1.0, 1.0]), np.full(5, np.pi)):
+        cover = solve_cover_problem(CoverProblem(matrix, costs * unit))
+        assert (cover.status, cover.chosen.tolist()) == ("optimal", [0, 1])
+        plan = solve_deployment(Deployment(CoverProblem(matrix, costs * unit), keep=0.0)).cover
+        assert (plan.status, plan.chosen.tolist()) == ("optimal", [0, 1])
+    budget = maximise_coverage(CoverProblem(matrix), 2, np.full(14, unit))
+    assert (budget.status, budget.chosen.tolist()) == ("optimal", [0, 1])
 
 
 def test_costs_that_are_far_apart_are_proven_relative_to_the_objective():

@@ -13,7 +13,7 @@ from roadsight.setcover.common.deadline import Deadline, WorkLimit
 from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.reductions import reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation
-from roadsight.setcover.cover import core, interior, long_search
+from roadsight.setcover.cover import core, handover, interior, long_search
 from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
 from roadsight.setcover.cover.long_search import LongSearch
 
@@ -167,6 +167,7 @@ def on_cores(request, monkeypatch):
             monkeypatch.setattr(interior, "_LEAST_TARGETS", 40)
         else:
             monkeypatch.setattr(core, "_LARGEST_SHARE", 1.0)
+            monkeypatch.setattr(handover, "_MOST_ENTRIES", -1)
 
     return send
 

@@ -7,6 +7,7 @@ from scipy import sparse
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common import deadline
 from roadsight.setcover.common.deadline import Deadline, Effort, Patience, WorkLimit
+from roadsight.setcover.cover import handover
 
 
 def test_patience_grows_with_the_work_up_to_the_last_move():
@@ -66,6 +67,7 @@ def test_each_part_of_a_plan_is_tried(monkeypatch):
     seen[0] |= ~seen.any(axis=0)
     twice = sparse.block_diag([seen, seen], "csr").astype(bool)
     monkeypatch.setattr(deadline, "_LEAST_PATIENCE_S", 0.02)
+    monkeypatch.setattr(handover, "_MOST_ENTRIES", -1)  # our own tree, whose nodes are counted
     one, both = (
         solve_cover_problem(
             CoverProblem(matrix, np.ones(matrix.shape[0])), WorkLimit(6.0, patience=0.01)
