@@ -76,7 +76,7 @@ class PavementMethod(Section):
 
     method: Literal["auto", "surface", "published"] = Field(
         default="auto",
-        description="published: FPFH, k-means, as set below; auto: surface if scans tell or seeds",
+        description="published: FPFH, k-means, see below; auto: surface by scans, seeds",
     )
     seeds: list[tuple[float, float]] = Field(
         default=[],
