@@ -9,16 +9,20 @@ import cv2
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from shapely import Polygon
 
 from roadsight.config.schema import Settings
+from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.evidence.compare_components import PoleSettings
 from tests.options.registry import Finished, run_of
-from tests.properties.poles_job import LENS
+from tests.properties.poles_job import HALF_M, LENS, aside, place
+from tests.unit.io.test_road_files import with_measures
 
 
 @run_of("poles.road", "classes", "pavement")
@@ -36,11 +40,9 @@ def road_source(sites: Finished, level: str) -> None:
 
 
 def _write_pavement(sites: Finished) -> None:
-    from shapely import Polygon
 
     from roadsight.geometry.frames import Frame
-    from roadsight.io.vector.vectors import write_layers
-    from tests.properties.poles_job import HALF_M, place
+    from tests.properties.poles_job import HALF_M
 
     frame = Frame.from_dict(read_json(sites.poles.path("frame")))
     origin = sites.lane.xyz[:, :2].min(axis=0)
@@ -53,7 +55,7 @@ def _write_pavement(sites: Finished) -> None:
 
 @run_of("road_edges.method", "contours", "pixels", "curbs")
 def road_edges_method(sites: Finished, level: str) -> None:
-    files = {"cloud": "cloud", "track": "frames"} if level == "curbs" else {}
+    files = {"cloud": "cloud", "frames": "frames"} if level == "curbs" else {}
     # The lane has no kerb: then nothing may be taken for one.
     code = 2 if level == "curbs" else 0
     _edges(sites, level, "--method", level, code=code, **files)
@@ -61,14 +63,12 @@ def road_edges_method(sites: Finished, level: str) -> None:
 
 def _edges(sites: Finished, name: str, *options: str, code: int = 0, **files: str) -> None:
     """Edges lie 3.6 m beside the middle of the lane."""
-    from tests.properties.poles_job import HALF_M, aside
-
     outputs = {"edges": f"edges-{name}", "lines": f"lines-{name}.gpkg"}
     sites.poles.again("extract_road_edges", *options, code=code, **files, **outputs)
     if code == 0:
         xy = read_table(sites.poles.path(outputs["edges"]))[["x", "y"]].to_numpy()
         off = np.abs(np.abs(aside(*(xy + sites.lane.xyz[:, :2].min(axis=0)).T)) - HALF_M)
-        assert len(xy) > 200 and np.median(off) < 0.2
+        assert len(xy) > 200 and np.median(off) < 0.3  # a voxel
 
 
 @run_of("image_edges.borders", "all", "nearest")
@@ -246,13 +246,14 @@ def measure_unit(sites: Finished, level: str) -> None:
     unit_m = {"m": 1.0, "km": 1000.0, "ft": 0.3048, "usft": 1200 / 3937, "mi": 1609.344}
     whole = 500.0 / unit_m.get(level, 5280 * 1200 / 3937)
     job = sites.poles
-    line = np.array([[sites.lane.east_m, 3_999_900.0], [sites.lane.east_m, 4_000_400.0]])
-    routes = pd.DataFrame(line, columns=["x", "y"]).assign(route="r", measure=[0.0, whole])
-    routes.to_csv(job.path(f"routes-{level}.csv"), index=False)
-    row = {"route": "r", "from_measure": 0.0, "to_measure": whole, "aadt": 4321}
+    east = sites.lane.east_m
+    line = np.array([[east, 3_999_900.0, 0.0], [east, 4_000_400.0, whole]])
+    frame = Frame((0.0, 0.0, 0.0))
+    with_measures(job.path(f"routes-{level}.gpkg"), line, many=False, frame=frame, epsg=32617)
+    row = {"route": "SR 7", "from_m": 0.0, "to_m": 500.0, "aadt": 4321}
     pd.DataFrame([row]).to_csv(job.path(f"inventory-{level}.csv"), index=False)
-    named = ("--measure-unit", level, "--routes-crs", "EPSG:32617")
-    found = _rated(sites, f"unit-{level}", *named, routes=f"routes-{level}.csv",
+    named = ("--measure-unit", level)
+    found = _rated(sites, f"unit-{level}", *named, routes=f"routes-{level}.gpkg",
                    inventory=f"inventory-{level}.csv")  # fmt: skip
     assert (found["aadt"] == 4321).any()
 
