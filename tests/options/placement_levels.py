@@ -54,11 +54,13 @@ def vertical_units(sites: Finished, level: str) -> None:
 def _ingested(sites: Finished, option: str, level: str) -> None:
     """The unit is the stated one; `auto` takes that of the CRS."""
     name = f"{option}-{level}"
-    options = ("--crs", "EPSG:32617" if level == "auto" else "local", f"--{option}", level)
-    sites.street.again("ingest_cloud", *options, cloud=name, frame=f"{name}-frame")
+    auto = level == "auto"
+    options = ("--crs", "EPSG:32617+5703" if auto else "local", f"--{option}", level)
+    job = sites.poles if auto else sites.street
+    job.again("ingest_cloud", *options, cloud=name, frame=f"{name}-frame")
     unit_m = {"auto": 1.0, "metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}[level]
     field = "unit_m" if option == "units" else "vertical_unit_m"
-    assert read_json(sites.street.path(f"{name}-frame"))[field] == pytest.approx(unit_m, rel=1e-12)
+    assert read_json(job.path(f"{name}-frame"))[field] == pytest.approx(unit_m, rel=1e-12)
 
 
 @run_of("pavement.method", "auto", "surface", "published")
@@ -127,8 +129,9 @@ def target_kind(sites: Finished, level: str) -> None:
     )
     targets = {}
     if box:
+        # A vehicle is a target that points along the road.
         targets = {"targets": f"targets-{level}"}
-        sites.street.again("place_targets", out=targets["targets"])
+        sites.street.again("place_targets", *size_m, edges="edges.gpkg", out=targets["targets"])
     _seen(sites, f"kind-{level}", *size_m, **targets)
 
 
@@ -294,7 +297,9 @@ def kind_of_sensor(sites: Finished, level: str) -> None:
 @run_of("jobs", "scene", "placement", "poles")
 def jobs(sites: Finished, level: str) -> None:
     """A site may ask for each; what its rules then make is what tests/workflow runs."""
-    found = _site({"jobs": [level]} | ({"poles": {"images": "i"}} if level == "poles" else {}))
+    masks = [{"labels": "m", "map": "labels.yaml"}]
+    views = {"videolog": "v.csv", "images": "i", "masks": masks, "depth": {"images": "d"}}
+    found = _site({"jobs": [level]} | ({"poles": views} if level == "poles" else {}))
     assert found.site.jobs == [level]
 
 
