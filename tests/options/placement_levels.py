@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 
 import geopandas as gpd
+import laspy
 import numpy as np
 import pytest
 
 from roadsight.base.sections.sensing import Targets
-from roadsight.config.load import load_config, load_sites, resolve_site
+from roadsight.config.load import ResolvedSite, load_config, resolve_site
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
@@ -53,11 +54,13 @@ def vertical_units(sites: Finished, level: str) -> None:
 def _ingested(sites: Finished, option: str, level: str) -> None:
     """The unit is the stated one; `auto` takes that of the CRS."""
     name = f"{option}-{level}"
-    options = ("--crs", "EPSG:32617" if level == "auto" else "local", f"--{option}", level)
-    sites.street.again("ingest_cloud", *options, cloud=name, frame=f"{name}-frame")
+    auto = level == "auto"
+    options = ("--crs", "EPSG:32617+5703" if auto else "local", f"--{option}", level)
+    job = sites.poles if auto else sites.street
+    job.again("ingest_cloud", *options, cloud=name, frame=f"{name}-frame")
     unit_m = {"auto": 1.0, "metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}[level]
     field = "unit_m" if option == "units" else "vertical_unit_m"
-    assert read_json(sites.street.path(f"{name}-frame"))[field] == pytest.approx(unit_m, rel=1e-12)
+    assert read_json(job.path(f"{name}-frame"))[field] == pytest.approx(unit_m, rel=1e-12)
 
 
 @run_of("pavement.method", "auto", "surface", "published")
@@ -111,7 +114,7 @@ def _targets(sites: Finished, option: str, level: str) -> None:
     usual = read_table(sites.street.path("targets"))
     found = read_table(sites.street.path(name))
     assert 0.5 * len(usual) < len(found) < 1.5 * len(usual)
-    assert found["z"].between(-0.2, 0.8).all()
+    assert found["z"].between(usual["z"].min() - 0.1, usual["z"].max() + 0.1).all()
 
 
 @run_of("targets.kind", "cylinder", "pedestrian", "car", "truck", "deer", "box")
@@ -126,8 +129,9 @@ def target_kind(sites: Finished, level: str) -> None:
     )
     targets = {}
     if box:
+        # A vehicle is a target that points along the road.
         targets = {"targets": f"targets-{level}"}
-        sites.street.again("place_targets", out=targets["targets"])
+        sites.street.again("place_targets", *size_m, edges="edges.gpkg", out=targets["targets"])
     _seen(sites, f"kind-{level}", *size_m, **targets)
 
 
@@ -149,7 +153,7 @@ def lidar_model(sites: Finished, level: str) -> None:
     maps, usual = (_maps(sites, name) for name in (f"depth-{level}", "depth0"))
     for name, range_m in maps.items():
         both = (range_m > 0) & (usual[name] > 0)
-        assert both.mean() > 0.2
+        assert both.sum() > 0.5 * (usual[name] > 0).sum()
         assert np.median(np.abs(range_m - usual[name])[both]) < 0.5
 
 
@@ -179,7 +183,9 @@ def mounting_of_lidar(sites: Finished, level: str) -> None:
     sites.street._stage("tilt_mounts", "--mounting", level, candidates=few, dem="dem.tif",
                         frame="frame", out="tilts")  # fmt: skip
     sites.street.again("render_depth_maps", candidates=few, tilts="tilts", out="depth-tilted")
-    assert all((range_m > 0).mean() > 0.2 for range_m in _maps(sites, "depth-tilted").values())
+    usual = _maps(sites, "depth0")
+    for name, range_m in _maps(sites, "depth-tilted").items():
+        assert (range_m > 0).sum() == pytest.approx((usual[name] > 0).sum(), rel=0.3)
 
 
 @run_of("lidar.outlier_engine", "own", "open3d")
@@ -190,13 +196,25 @@ def outlier_engine(sites: Finished, level: str) -> None:
 
 @run_of("lidar.vegetation", "keep", "leave_out")
 def vegetation(sites: Finished, level: str) -> None:
-    _surfels(sites, "--vegetation", level)  # nothing is classified as such
+    """Without the bushes there are fewer surfels."""
+    job = sites.street
+    cloud = laspy.read(job.path("cloud.laz"))
+    cloud.classification = np.where(np.abs(cloud.y) > 9.0, 5, 1).astype(np.uint8)
+    cloud.write(job.path("green.laz"))
+    local = ("--site", "street", "--crs", "local", "--units", "metre", "--vertical-units", "metre")
+    named = (*local, job.path("green.laz"))
+    assert job._run("ingest_cloud", named, {"cloud": "green", "frame": "green-frame"}) == 0
+    usual, found = _surfels(sites, "--vegetation", level, cloud="green")
+    assert (found < 0.9 * usual) == (level == "leave_out")
 
 
-def _surfels(sites: Finished, *options: str) -> None:
-    sites.street.again("build_surfels", *options, out="surfels-again")
-    usual = len(read_surfels(sites.street.path("surfels")))
-    assert 0.9 * usual < len(read_surfels(sites.street.path("surfels-again"))) <= usual
+def _surfels(sites: Finished, *options: str, **files: str) -> tuple[int, int]:
+    """How many surfels there usually are, and are now: most of them, and none more."""
+    sites.street.again("build_surfels", *options, **files, out="surfels-again")
+    names = ("surfels", "surfels-again")
+    usual, found = (len(read_surfels(sites.street.path(name))) for name in names)
+    assert 0.5 * usual < found <= usual
+    return usual, found
 
 
 @run_of("mounting.unshielded", "cost", "forbid")
@@ -250,16 +268,14 @@ def robust(sites: Finished, level: str) -> None:
 def alternatives(sites: Finished, level: str) -> None:
     options = json.dumps({"alternatives": True}) if level == "True" else ""
     found = _solved(sites, "--options", options)
-    assert ("alternatives" in found) == (level == "True")
+    assert ("alternatives" in found.get("options", {})) == (level == "True")
 
 
 @run_of("plan.on_request", "True", "False")
 def on_request(sites: Finished, level: str) -> None:
     """What is solved only where it is asked for is not among a site's plans."""
-    site = {"site": "s", "title": "S", "clouds": ["c.laz"], "jobs": ["placement"]}
     own = {"mine": {"title": "Mine", "sensors": ["OS-32"], "on_request": level == "True"}}
-    content = site | {"placement": {"own_plans": own}}
-    found = resolve_site(content, PROJECT / "config/sites/s.yaml", load_config({"sites": ["s"]}))
+    found = _site({"placement": {"own_plans": own}})
     assert ("mine" in found.plans) == (level == "False")
 
 
@@ -280,7 +296,14 @@ def kind_of_sensor(sites: Finished, level: str) -> None:
 
 @run_of("jobs", "scene", "placement", "poles")
 def jobs(sites: Finished, level: str) -> None:
-    """What a job asks for: the workflow of each is run by tests/workflow."""
-    asked = {"scene": "montpellier_street", "placement": "sample", "poles": "sample_rural"}
-    config = load_config({"sites": [asked[level]]})
-    assert level in load_sites(config)[asked[level]].site.jobs
+    """A site may ask for each; what its rules then make is what tests/workflow runs."""
+    masks = [{"labels": "m", "map": "labels.yaml"}]
+    views = {"videolog": "v.csv", "images": "i", "masks": masks, "depth": {"images": "d"}}
+    found = _site({"jobs": [level]} | ({"poles": views} if level == "poles" else {}))
+    assert found.site.jobs == [level]
+
+
+def _site(content: dict) -> ResolvedSite:
+    named = {"site": "s", "title": "S", "clouds": ["c.laz"], "jobs": ["placement"]} | content
+    file = PROJECT / "config/sites/s.yaml"
+    return resolve_site(named, file, load_config({"sites": ["s"]}))

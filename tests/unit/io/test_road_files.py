@@ -52,16 +52,16 @@ def test_an_inventory_as_a_line_layer_in_any_crs_is_a_route_too(tmp_path, crs):
     assert routes[0].measure_m[1] == pytest.approx(500 + 250 * length / (length + 150), abs=0.01)
 
 
-def with_measures(path, *parts, many=True):
+def with_measures(path, *parts, many=True, frame=FEET, epsg=6543):
     """A layer of one feature, a MultiLineString if ``many``, of parts (n, 3) with measures."""
-    native = [np.column_stack([FEET.to_native(part[:, :2]), part[:, 2]]) for part in parts]
+    native = [np.column_stack([frame.to_native(part[:, :2]), part[:, 2]]) for part in parts]
     text = ", ".join(f"({', '.join(' '.join(map(str, v)) for v in part)})" for part in native)
     line = shapely.from_wkt(f"MULTILINESTRING M ({text})" if many else f"LINESTRING M {text}")
     flat = shapely.from_wkt(shapely.force_2d(line).wkt)
-    frame = gpd.GeoDataFrame({"name": ["SR 7"]}, geometry=[flat], crs="EPSG:6543")
+    table = gpd.GeoDataFrame({"name": ["SR 7"]}, geometry=[flat], crs=f"EPSG:{epsg}")
     # GDAL's Python side writes no measures: they are put into the file itself.
-    pyogrio.write_dataframe(frame, path, layer="lrs", SPATIAL_INDEX="NO")
-    header = b"GP\x00\x01" + struct.pack("<i", 6543)
+    pyogrio.write_dataframe(table, path, layer="lrs", SPATIAL_INDEX="NO")
+    header = b"GP\x00\x01" + struct.pack("<i", epsg)
     with sqlite3.connect(path) as file:
         file.execute("update lrs set geom = ?", (header + shapely.to_wkb(line, flavor="iso"),))
         file.execute("update gpkg_geometry_columns set m = 1")

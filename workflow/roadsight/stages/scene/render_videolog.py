@@ -52,11 +52,11 @@ def render_videolog(
     taken = [
         (shot, number) for number, drive in enumerate(drives) for shot in shots(site, drive, seed)
     ]
-    own = shard.dealt(shot.name() for shot, _ in taken)
+    dealt = shard.dealt(shot.name() for shot, _ in taken)
     wanted = [
         (shot, view, number)
         for shot, number in taken
-        if shot.name() in own
+        if shot.name() in dealt
         for view in shot.cameras
     ]
     with ExitStack() as stack:
