@@ -63,6 +63,23 @@ def _ingested(sites: Finished, option: str, level: str) -> None:
     assert read_json(job.path(f"{name}-frame"))[field] == pytest.approx(unit_m, rel=1e-12)
 
 
+@run_of("ground.method", "robust", "pillars")
+def ground_method(sites: Finished, level: str) -> None:
+    """Both find the road; the van on it is off-ground."""
+    name = f"ground-{level}"
+    sites.street.again("build_dem", "--method", level, dem=f"{name}.tif", ground=name)
+    usual, found = (read_table(sites.street.path(one))["ground"] for one in ("ground", name))
+    assert (usual == found).mean() > 0.9
+
+
+@run_of("pavement.thinning", "columns", "voxels")
+def thinning(sites: Finished, level: str) -> None:
+    clusters = f"clusters-{level}"
+    sites.street.again("cluster_fpfh", "--thinning", level, out=clusters)
+    named = ("--method", "published", "--thinning", level)
+    _pavement(sites, f"thinning-{level}", *named, clusters=clusters)
+
+
 @run_of("pavement.method", "auto", "surface", "published")
 def pavement_method(sites: Finished, level: str) -> None:
     _pavement(sites, level, "--method", level)
@@ -254,6 +271,34 @@ def second_objective(sites: Finished, level: str) -> None:
     found = _solved(sites, "--second-objective", level)
     assert found["objective"] == sites.street.solution["objective"]
     assert ("second" in found) == (level == "True")
+
+
+@run_of("cover.solver", "own", "highs")
+def solver(sites: Finished, level: str) -> None:
+    found = _solved(sites, "--solver", level)
+    assert found["objective"] == sites.street.solution["objective"]
+    assert found["solver"] == level
+
+
+@run_of("cover.verify", "none", "highs")
+def verify(sites: Finished, level: str) -> None:
+    found = _solved(sites, "--verify", level)
+    assert ("verified" in found) == (level == "highs")
+
+
+@run_of("obstacles.method", "sight_lines", "cells")
+def obstacles_method(sites: Finished, level: str) -> None:
+    """What hides targets stands where the scene has points."""
+    job, name = sites.street, f"obstacles-{level}.gpkg"
+    seen = ("--detections", job.path("seen0"), "--sensors", SENSORS, "--plan", "one")
+    cells = ("--depth", job.path("depth0")) if level == "cells" else ()
+    files = {"cloud": "cloud"} if level == "cells" else {}
+    job._stage("find_obstacles", *seen, *cells, "--method", level, "--candidates",
+               job.path("candidates"), solution="solution", coverage="coverage",
+               targets="targets", surfels="surfels", dem="dem.tif", frame="frame", out=name,
+               **files)  # fmt: skip
+    found = gpd.read_file(job.path(name), layer="obstacles")
+    assert len(found) > 0 and found["height_m"].between(-1.0, 12.0).all()
 
 
 @run_of("plan.robust", "tolerance")

@@ -21,7 +21,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.evidence.compare_components import PoleSettings
 from tests.options.registry import Finished, run_of
-from tests.properties.poles_job import HALF_M, LENS, aside, place
+from tests.properties.poles_job import BASELINE, HALF_M, LENS, aside, place
 from tests.unit.io.test_road_files import with_measures
 
 
@@ -129,8 +129,12 @@ def alignment_method(sites: Finished, level: str) -> None:
         lens = {"fx_px": LENS.focal_px, "cx_px": LENS.cx_px, "cy_px": LENS.cy_px}
         dense = ("--intrinsics", json.dumps(lens))
         files = {"cloud": "cloud", "photographs": "images", "masks": "masks0"}
+    if level == "published":
+        Path(job.path("baseline.json")).write_text(json.dumps(BASELINE))
+        dense = ("--baseline", job.path("baseline.json"))
     calibration = f"calibration-{level}"
     job.again("calibrate_drive", "--method", level, *dense, **files, out=calibration)
+    dense = () if level == "published" else dense
     job.again("align_cameras", "--method", level, *dense, **files, calibration=calibration,
               out=f"cameras-{level}")  # fmt: skip
     found = read_table(job.path(f"cameras-{level}"))
@@ -169,7 +173,17 @@ def height_rule(sites: Finished, level: str) -> None:
     assert len(_measured(sites, f"rule-{level}", "--height-rule", level)) > 0
 
 
-@run_of("sightings.side_views", "found", "given")
+@run_of("sightings.mask_rule", "axes", "published")
+def mask_rule(sites: Finished, level: str) -> None:
+    assert len(_measured(sites, f"masks-{level}", "--mask-rule", level)) > 0
+
+
+@run_of("sightings.distance", "fused", "published")
+def distance(sites: Finished, level: str) -> None:
+    assert len(_measured(sites, f"distance-{level}", "--distance", level)) > 0
+
+
+@run_of("sightings.side_views", "found", "given", "stitched")
 def side_views(sites: Finished, level: str) -> None:
     assert len(_measured(sites, f"side-{level}", "--side-views", level)) > 0
 
@@ -323,6 +337,13 @@ def pole_returns(sites: Finished, level: str) -> None:
     _rural(sites, f"returns-{level}", "--pole-returns", level)
 
 
+@run_of("sample.car_parks", "True", "False")
+def car_parks(sites: Finished, level: str) -> None:
+    _rural(sites, f"parks-{level}", "--car-parks", level)
+    truth = gpd.read_file(sites.poles.path(f"parks-{level}.gpkg"), layer="driveways")
+    assert ("car park" in set(truth["kind"])) == (level == "True")
+
+
 @run_of("sample.side_views", "True", "False")
 def sample_side_views(sites: Finished, level: str) -> None:
     """Shots have side views or none; rendered for the first place."""
@@ -341,7 +362,7 @@ def _rural(sites: Finished, name: str, *options: str) -> pd.DataFrame:
     small = ("--length-m", "120", "--pulses-per-m2", "4")
     job._stage("generate_rural", *small, *options, cloud=f"{name}.laz", truth=f"{name}.gpkg",
                poles=f"{name}-poles.csv", videolog=f"{name}-log.csv",
-               cameras=f"{name}-cameras.csv")  # fmt: skip
+               cameras=f"{name}-cameras.csv", baseline=f"{name}-baseline.json")  # fmt: skip
     assert len(laspy.read(job.path(f"{name}.laz")).points) > 5000
     table = pd.read_csv(job.path(f"{name}-log.csv"))
     assert len(table) >= 10
