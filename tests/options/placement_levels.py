@@ -76,8 +76,7 @@ def ground_method(sites: Finished, level: str) -> None:
 def thinning(sites: Finished, level: str) -> None:
     clusters = f"clusters-{level}"
     sites.street.again("cluster_fpfh", "--thinning", level, out=clusters)
-    named = ("--method", "published", "--thinning", level)
-    _pavement(sites, f"thinning-{level}", *named, clusters=clusters)
+    _pavement(sites, f"thinning-{level}", "--method", "published", clusters=clusters)
 
 
 @run_of("pavement.method", "auto", "surface", "published")
