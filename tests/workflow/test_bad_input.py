@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 
+import cv2
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -105,6 +106,26 @@ def test_unset_variable(checkout):
     assert "config/sites/autzen_arterial.yaml" in message
     assert "environment variable ROADSIGHT_DATA is not set" in message
     assert "export ROADSIGHT_DATA=" in message
+
+
+def test_published_alignment_without_a_registered_camera(checkout):
+    folder = checkout.folder / "config/sites"
+    write_las(folder / "lane.laz", random_points(1000), UTM)
+    (folder / "photos").mkdir()
+    cv2.imwrite(str(folder / "photos/a.png"), np.zeros((48, 64, 3), np.uint8))
+    (folder / "drive.csv").write_text("image,latitude,longitude\na.png,48.0,9.0\n")
+    content = {"site": "lane", "clouds": ["lane.laz"], "jobs": ["poles"]}
+    shown = {
+        "masks": [{"labels": "photos", "map": "../../resources/manifests/labels_project.yaml"}],
+        "depth": {"images": "photos"},
+    }
+    content |= {"poles": {"images": "photos", "videolog": "drive.csv", **shown}}
+    (folder / "lane.yaml").write_text(yaml.safe_dump(content))
+    named = ("--configfile", "config/published_poles.yaml", "--config", "sites=[lane]")
+    message = refused_by_snakemake(checkout, *named)
+    assert "config/sites/lane.yaml: poles.baseline" in message
+    assert "registered camera of each image size" in message
+    assert "roadsight register" in message
 
 
 def test_message_of_a_failed_stage_reaches_the_terminal(checkout, tmp_path):
