@@ -68,8 +68,8 @@ def run(
     cover, second = _second(given, asked, cover)
     content = _content(asked, cover) | second
     if given.verify is not None:
-        found = verify(asked.deployment, cover, WorkLimit(given.verify))
-        content["verified"] = found.record()
+        checked = verify(asked.deployment, cover, WorkLimit(given.verify))
+        content["verified"] = checked.record()
     if given.curve is not None:
         content["curve"] = curve_of(given, given.curve, asked, cover)
     if given.alternatives:

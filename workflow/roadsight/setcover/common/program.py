@@ -102,7 +102,8 @@ def run_program(
         limit.spend(_LOOK_S)
         bound, best = event.data_out.mip_dual_bound, event.data_out.mip_primal_bound
         moved = math.ceil(bound / step - 1e-6) if step and math.isfinite(bound) else bound
-        if limit.passed() or bound >= enough or patience.is_over((moved, best)):
+        over = limit.passed() or bound >= enough or patience.is_over((moved, best))
+        if over and event.data_in is not None:
             event.data_in.user_interrupt = True
 
     highs.cbMipInterrupt.subscribe(look)

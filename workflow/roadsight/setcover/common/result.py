@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -12,8 +13,8 @@ OPTIMAL = "optimal"
 TIME_LIMIT = "time_limit"
 WITHIN_GAP = "within_gap"
 INFEASIBLE = "infeasible"
-OWN = "own"
-HIGHS = "highs"
+OWN: Final = "own"
+HIGHS: Final = "highs"
 """Solvers: ours, and HiGHS on a whole integer program."""
 
 

@@ -28,6 +28,10 @@ _VIOLATION = 1e-6
 """What breaks a cut, as a share of its size: ten times the solver's own tolerance."""
 
 
+_USUAL = 2.0**10
+"""Coefficients between this and its inverse are taken as they are."""
+
+
 @dataclass(frozen=True)
 class Cut:
     """``sum value_k variable_k >= low``; variables are choices, then blocks."""
@@ -35,6 +39,13 @@ class Cut:
     index: Ints32
     value: Floats
     low: float
+
+    def scaled(self) -> Cut:
+        """The same in coefficients of the size of 1: smaller ones drown in solvers' tolerances."""
+        size = float(np.abs(self.value).max(initial=0.0))
+        if not size or 1 / _USUAL < size < _USUAL:
+            return self
+        return Cut(self.index, self.value / size, self.low / size)
 
 
 class Cuts:

@@ -65,6 +65,7 @@ class Master:
         """Add constraints."""
         if not found:
             return
+        found = [cut.scaled() for cut in found]
         start = np.cumsum([0, *(len(cut.index) for cut in found)])
         self._highs.addRows(
             len(found),

@@ -89,6 +89,7 @@ class Tree(BestFirst):
         """Bound and children of a node; None for children where work ran out."""
         root = self.nodes == 1
         rounds = _ROOT_ROUNDS if root else _ROUNDS
+        forbidden = 0
         while True:
             goal = self.goal
             answer = self.master.solve(node, goal, deadline.part(2) if root else deadline, rounds)
@@ -101,7 +102,8 @@ class Tree(BestFirst):
             before = node
             node = tighten(before, answer.bound, answer.reduced_cost, self.goal)
             whole = np.minimum(answer.x, 1 - answer.x).max(initial=0.0) < _WHOLE
-            if whole and self._forbid(np.flatnonzero(answer.x > 0.5)):
+            if whole and self._forbid(np.flatnonzero(answer.x > 0.5)) and forbidden < _ROUNDS:
+                forbidden += 1  # what is within tolerances even so is left to the children
                 continue
             if is_settled(before, node):
                 break
@@ -140,7 +142,8 @@ class Tree(BestFirst):
         node is divided by one choice.
         """
         choices = self._shared_choices(node, answer.x)
-        if choices is not None:
+        known = (self.master.branches[k].index for k in node.path)
+        if choices is not None and not any(np.array_equal(choices, one) for one in known):
             return divide_by_choices(node, choices, self.master.add_branch(choices))
         free = node.alive & ~node.fixed
         nearness = np.where(free, np.minimum(answer.x, 1 - answer.x), -1.0)

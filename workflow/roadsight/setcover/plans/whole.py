@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.program import Program, run_program, version
@@ -184,9 +184,11 @@ def whole_program(deployment: Deployment) -> tuple[Program, float]:
             build.rows([(u, one), (x, sees)], need[valued] + 1, np.inf)
             lost = sparse.csr_matrix(problem.matrix[:, valued].multiply(weights[valued]))
             least = np.asarray(lost.sum(axis=1)).ravel()
-            most = (1 - deployment.keep) * deployment.total
-            tight = np.flatnonzero(least > most)
-            excess = sparse.diags_array(least, format="csr")[tight] - most * _eye(tight, len(least))
+            spare = (1 - deployment.keep) * deployment.total
+            tight = np.flatnonzero(least > spare)
+            excess = sparse.diags_array(least, format="csr")[tight] - spare * _eye(
+                tight, len(least)
+            )
             build.rows([(u, lost[tight]), (x, excess)], -np.inf, least[tight])
         return build.program(), -deployment.worth * deployment.total
     twice = (need[valued] > 1) | bool(deployment.keep)
@@ -201,8 +203,8 @@ def whole_program(deployment: Deployment) -> tuple[Program, float]:
     u = build.variables(np.zeros(len(valued)), 0.0, 1.0, whole=False)
     short = sparse.diags_array(need[valued] + 1, format="csr")
     build.rows([(u, one), (x, sees), (y, -short)], 0.0, np.inf)
-    least = deployment.floor * (1 - 1e-9)
-    v = build.variables(np.array([-deployment.worth]), least, np.inf, whole=False)
+    floor = deployment.floor * (1 - 1e-9)
+    v = build.variables(np.array([-deployment.worth]), floor, np.inf, whole=False)
     s = build.variables(np.zeros(1), 0.0, np.inf, whole=False)
     unit = _row(np.ones(1))
     build.rows([(s, unit), (y, -total)], 0.0, 0.0)
@@ -224,7 +226,7 @@ class _Rows:
         self._limits: list[tuple[Floats, Floats]] = []
 
     def variables(
-        self, price: Floats, least: Floats | float, most: Floats | float, whole: Floats | bool
+        self, price: Floats, least: Floats | float, most: Floats | float, whole: Bools | bool
     ) -> int:
         """Number of a new block of variables."""
         columns = (np.broadcast_to(part, len(price)) for part in (price, least, most, whole))
