@@ -56,7 +56,7 @@ def _write_pavement(sites: Finished) -> None:
 @run_of("road_edges.method", "contours", "pixels", "curbs")
 def road_edges_method(sites: Finished, level: str) -> None:
     files = {"cloud": "cloud", "frames": "frames"} if level == "curbs" else {}
-    # The lane has no kerb: then nothing may be taken for one.
+    # The lane has no curb: then nothing may be taken for one.
     code = 2 if level == "curbs" else 0
     _edges(sites, level, "--method", level, code=code, **files)
 

@@ -85,14 +85,14 @@ CALLS = {
     "estimate of a site": "estimate sample -o {out}/site.json",
 }
 """Calls by name; ``{street}``, ``{lane}``: finished sites, ``{files}``: what is written below."""
-NO_KERBS = {
+NO_CURBS = {
     "align in a street": "align {lane}/videolog.csv --cloud {lane}/cloud.laz"
     f" --images {{lane}}/images --masks {{lane}}/masks --map {LABELS} --street {GRID}"
     " -o {out}/street.csv",
     "register in a street": f"register {{files}}/pairs.csv {VIEW} --street {GRID}"
     " -o {out}/street.json",
 }
-"""Calls that end in one message: the lane has no kerbs, which `--street` looks for."""
+"""Calls that end in one message: the lane has no curbs, which `--street` looks for."""
 BY_HAND = {
     ("studio", "folder"): "test_studio_serves",
     ("studio", "port"): "test_studio_serves",
@@ -124,7 +124,7 @@ def _write_scan(files: Path) -> None:
 
 def _write_lines(files: Path) -> None:
     x = np.linspace(2, 46, 12)
-    pd.DataFrame({"line": "d", "x": x, "y": -1.8}).to_csv(files / "track.csv", index=False)
+    pd.DataFrame({"edge": "d", "x": x, "y": -1.8}).to_csv(files / "track.csv", index=False)
     sides = [pd.DataFrame({"edge": str(y), "x": x, "y": y}) for y in (-4.0, 4.0)]
     pd.concat(sides).to_csv(files / "edges.csv", index=False)
 
@@ -184,9 +184,14 @@ def _write_views(files: Path, finished: Finished) -> None:
     inside = lens.contains(uv)
     table[inside].assign(image=camera["image"]).to_csv(files / "pairs.csv", index=False)
     size = f"{LENS.width_px}x{LENS.height_px}"
-    known = {"focal_px": LENS.focal_px, "cx_px": LENS.cx_px, "cy_px": LENS.cy_px}
-    mount = {"height_m": 2.3, "pitch_deg": -2.5, "roll_deg": 0.3, "yaw_deg": 0.8}
-    (files / "baseline.json").write_text(json.dumps({size: known | mount}))
+    mount = {
+        "focal_px": LENS.focal_px,
+        "height_m": 2.3,
+        "pitch_deg": -2.5,
+        "roll_deg": 0.3,
+        "yaw_deg": 0.8,
+    }
+    (files / "baseline.json").write_text(json.dumps({size: mount}))
     about = {"fx_px": [LENS.focal_px], "cx_px": [LENS.cx_px], "cy_px": [LENS.cy_px]}
     pd.DataFrame(about).to_csv(files / "lens.csv", index=False)
 
@@ -208,7 +213,7 @@ def used_options() -> set[tuple[str, str]]:
         for action in verb._actions
         for flag in action.option_strings
     }
-    words = [call.split() for call in (CALLS | NO_KERBS).values()]
+    words = [call.split() for call in (CALLS | NO_CURBS).values()]
     return {(verb, flags[verb, word]) for verb, *rest in words for word in rest
             if (verb, word) in flags}  # fmt: skip
 
@@ -235,11 +240,11 @@ def test_call(folders, name, monkeypatch):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", NO_KERBS)
-def test_a_street_without_kerbs_is_one_message(folders, name, capsys):
-    argv = [part.format(**folders) for part in NO_KERBS[name].split()]
+@pytest.mark.parametrize("name", NO_CURBS)
+def test_a_street_without_curbs_is_one_message(folders, name, capsys):
+    argv = [part.format(**folders) for part in NO_CURBS[name].split()]
     assert main(argv) == 2
-    assert "kerb" in capsys.readouterr().err
+    assert "no curb found" in capsys.readouterr().err
 
 
 @pytest.mark.full
