@@ -8,7 +8,7 @@ settings, and a few steps more often. This module says which runs there are and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any, Literal, get_args
@@ -102,6 +102,7 @@ def runs(size: Size) -> dict[str, Run]:
         ({}, {}, {}) if size == "long" else (_FEWER_CANDIDATES, _FEWEST_CANDIDATES, _FEW_IMAGES)
     )
     found: dict[str, Run] = {}
+    changes: Mapping[str, Any]
     for site in PLACEMENT_SITES:
         for way, plans in (("published", _table5(PLANS)), ("default", PLANS)):
             scene = ("scene/pavement_scores.json", "placement/edges.gpkg")
@@ -169,24 +170,13 @@ def _row(
     row: str,
     quantity: str,
     unit: str,
-    published_value: float | None = None,
-    as_published: float | None = None,
-    default: float | None = None,
-    cpu_s: tuple[float | None, float | None] = (None, None),
+    *values: float | None,
+    cpu_s: Sequence[float | None] = (None, None),
 ) -> dict[str, Any]:
-    values = (
-        study,
-        item,
-        site,
-        row,
-        quantity,
-        unit,
-        published_value,
-        as_published,
-        default,
-        *cpu_s,
-    )
-    return dict(zip(COLUMNS, values, strict=True))
+    """A row: ``values`` are the published one, ours as published and by default, ``cpu_s`` ours."""
+    known = (*values, None, None, None)[:3]
+    cells = (study, item, site, row, quantity, unit, *known, *cpu_s)
+    return dict(zip(COLUMNS, cells, strict=True))
 
 
 def _sites(measured: Measured) -> list[dict[str, Any]]:
@@ -212,7 +202,9 @@ def _pavement(measured: Measured) -> list[dict[str, Any]]:
         for key in ("accuracy", "recall", "f1"):
             ours = (100 * run["pavement"][key] for run in ways)
             found.append(
-                _row("placement", "Table 4", title, key, key, "%", theirs.get(key), *ours, cost)
+                _row(
+                    "placement", "Table 4", title, key, key, "%", theirs.get(key), *ours, cpu_s=cost
+                )
             )
     return found
 

@@ -106,8 +106,9 @@ def _shown(row: Row) -> dict[str, str]:
 
 
 def _value(value: float | None) -> str:
-    known = value is not None and math.isfinite(value)
-    return number(float(f"{value:.3g}") if abs(value) < 1000 else value, None) if known else _NONE
+    if value is None or not math.isfinite(value):
+        return _NONE
+    return number(float(f"{value:.3g}") if abs(value) < 1000 else value)
 
 
 def _placement_figures(measured: paper.Measured) -> dict[str, list[str]]:
@@ -255,6 +256,7 @@ def _map_chart(run: Mapping[str, Any]) -> str:
     chart = Chart(
         "Route with located poles", "East, m", "North, m", spans[0], spans[1], 470.0, 440.0
     )
-    chart.dots(*cameras.T.tolist(), "reference")
-    chart.dots(*poles.T.tolist(), "good", [f"pole {n + 1}" for n in range(len(poles))])
+    chart.dots(cameras[:, 0].tolist(), cameras[:, 1].tolist(), "reference")
+    names = [f"pole {n + 1}" for n in range(len(poles))]
+    chart.dots(poles[:, 0].tolist(), poles[:, 1].tolist(), "good", names)
     return chart.svg()
