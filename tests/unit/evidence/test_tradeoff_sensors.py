@@ -114,6 +114,15 @@ class TestCoverageOfTheRoad:
         assert 1 - half == pytest.approx((1 - every) / 2, abs=0.03)
         assert self.measured(road, sensors, "road_unclaimed", excluded=targets) == 1.0
 
+    def test_targets_on_a_roof_claim_nothing_of_the_road_below(self, road, sensors):
+        path = road[0] / "placement/targets.parquet"
+        targets, before = read_table(path), self.measured(road, sensors, "road_unclaimed")
+        roof = targets.assign(z=targets["z"] + 8.0 * (targets.index % 2))
+        write_table(path, roof)
+        after = self.measured(road, sensors, "road_unclaimed")
+        write_table(path, targets)
+        assert 1 - after == pytest.approx((1 - before) / 2, abs=0.03)
+
     def test_what_a_plan_with_a_budget_claims_is_not_known(self, road, sensors):
         folder, _ = road
         solution = {"excluded": [], "covered_targets": 3, "sensors": []}

@@ -79,11 +79,11 @@ class TestFile:
         for study in found.studies.values():
             assert study.default in study.levels
             assert len(study.measures) >= 1
-        for site in found.sites.values():
+        for site in map(found.site_of, found.studies.values()):
             resolved = load_site(site, Config())
             for study in found.studies.values():
                 named = study.knob in (NAMED, PLAN)
-                if found.sites[study.job] == site and not named:
+                if found.site_of(study) == site and not named:
                     usual = study.levels[study.default]
                     assert resolved.setting(study.knob) == usual, "a site must not set a knob"
 
@@ -103,6 +103,14 @@ class TestFile:
         assert {level: study.plan(level) for level in study.levels} == {"usual": "", "six": "six"}
         assert study.changes("six") == {}
         assert load(tmp_path).studies["s"].plan("2") == ""
+
+    def test_a_study_may_have_a_site_of_its_own(self, project, monkeypatch, tmp_path):
+        monkeypatch.chdir(project)
+        usual, own = load(tmp_path), load(tmp_path, site="sample")
+        assert usual.site_of(usual.studies["s"]) == "a"
+        assert own.site_of(own.studies["s"]) == "sample"
+        own = own.model_copy(update={"sites": {"placement": "tradeoffs_highway"}})
+        assert list(load_evidence_sites(Config(), own)) == ["tradeoffs_highway", "sample"]
 
     def test_a_study_of_an_unknown_plan_is_refused(self, project, monkeypatch, tmp_path):
         monkeypatch.chdir(project)

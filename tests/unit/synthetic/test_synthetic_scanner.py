@@ -11,6 +11,7 @@ from roadsight.base.errors import InputError
 from roadsight.synthetic.casting.alignment import to_plan, to_road
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.casting.terrain import height_at
+from roadsight.synthetic.highway.airborne_survey import survey
 from roadsight.synthetic.highway.highway import build_highway
 from roadsight.synthetic.highway.mobile_scanner import MobileScanner, pulses, scan, sweeps_of
 from roadsight.synthetic.highway.returns import LaserModel, measure
@@ -193,3 +194,40 @@ def test_pulses_into_the_sky_bring_nothing(site):
     echoes = measure(site, origins, up, LaserModel(clutter_share=0.0), np.random.default_rng(1))
     assert len(echoes.pulse) == 0
     assert len(echoes.range_m) == len(echoes.intensity) == len(echoes.truth_class) == 0
+
+
+@pytest.fixture(scope="module")
+def aerial(site):
+    return gather(survey(site, POINTS, np.random.default_rng(1)))
+
+
+class TestFromTheAir:
+    """The same site surveyed by an aircraft."""
+
+    def test_the_density_is_even_and_heights_lie_within_the_noise(self, site, aerial):
+        open_road = aerial["truth_class"] == TruthClass.ROAD
+        station, offset = to_road(site.alignment, aerial["xyz_m"][:, :2]).T
+        for low, high in ((2.0, 6.0), (6.0, 10.0)):
+            for side in (-1.0, 1.0):
+                strip = open_road & (side * offset > low) & (side * offset < high)
+                strip &= (station > 25.0) & (station < 40.0)
+                assert strip.sum() / (4.0 * 15.0) == pytest.approx(POINTS / (90 * 60), rel=0.15)
+        road = aerial["xyz_m"][open_road]
+        residual = road[:, 2] - height_at(site.terrain, road[:, :2])
+        assert np.std(residual) == pytest.approx(0.02, abs=0.005)
+        assert abs(np.median(residual)) < 0.002
+
+    def test_the_sides_of_walls_have_few_points(self, site, aerial, cloud):
+        def on_the_sides(points):
+            """Share of the barrier's points between its foot and its top."""
+            barrier = points["xyz_m"][points["truth_class"] == TruthClass.BARRIER]
+            barrier = barrier[np.abs(to_road(site.alignment, barrier[:, :2])[:, 1]) < 0.5]
+            above_m = barrier[:, 2] - height_at(site.terrain, barrier[:, :2])
+            return np.mean((above_m > 0.35) & (above_m < 0.8))
+
+        assert on_the_sides(aerial) < 0.15 < 0.3 < on_the_sides(cloud)
+
+    def test_each_pulse_has_a_time_and_the_seed_decides(self, site, aerial):
+        assert len(np.unique(aerial["time_s"])) == len(aerial["time_s"])
+        again = gather(survey(site, POINTS, np.random.default_rng(1)))
+        assert all(np.array_equal(aerial[name], again[name]) for name in aerial)

@@ -186,7 +186,7 @@ METRICS: dict[str, Metric] = {
         depth_maps=True,
     ),
     "detections_false": Metric(
-        "Detections that are false: the target is hidden",
+        "False detections, of hidden targets",
         "share",
         "placement",
         0.0,

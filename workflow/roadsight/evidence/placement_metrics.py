@@ -29,6 +29,8 @@ _MAPS = 6
 """Depth maps that are compared with exact ones; more would take longer to cast."""
 _STEP_M = 1.0
 """Spacing of the places on the road where heights and coverage are compared."""
+_SAME_SURFACE_M = 1.0
+"""A target stands on the road when it is no farther above or below it: bridges clear 4 m."""
 
 
 def dem_rmse_m(results: Results) -> float:
@@ -139,15 +141,19 @@ def road_unseen(results: Results) -> float:
 
 
 def road_unclaimed(results: Results) -> float:
-    """Share of the same cells that lie in the cell of no target said to be covered."""
-    claimed = _claimed(results, _solution(results))[["x", "y"]].to_numpy(np.float64)
-    xy_m, _ = results.scene.road_heights(_STEP_M)
+    """Share of the same cells that lie in the cell of no target said to be covered.
+
+    A target on what spans the road, such as a tunnel's roof, claims nothing below it.
+    """
+    claimed = _claimed(results, _solution(results))[["x", "y", "z"]].to_numpy(np.float64)
+    xy_m, height_m = results.scene.road_heights(_STEP_M)
     if not len(claimed):
         return 1.0
+    away_m, nearest = cKDTree(claimed[:, :2]).query(xy_m)
     # Half the diagonal of a target's cell: the two grids are turned against each other.
     half_m = results.settings.targets.cell_size_m * np.sqrt(0.5)
-    away_m, _ = cKDTree(claimed).query(xy_m)
-    return float((away_m > half_m).mean())
+    above = np.abs(claimed[nearest, 2] - height_m) > _SAME_SURFACE_M
+    return float((above | (away_m > half_m)).mean())
 
 
 def _claimed(results: Results, solution: dict) -> pd.DataFrame:

@@ -57,6 +57,7 @@ class Study(Section):
     """One knob at several levels."""
 
     job: Job = Field(description="job that is run: placement or poles")
+    site: str = Field(default="", description="site, if not that of the job")
     title: str = Field(description="what is varied, for people")
     knob: str = Field(description=f"setting that is varied, {NAMED} or {PLAN}")
     unit: str = Field(default="", description="unit of the levels, for people")
@@ -155,6 +156,10 @@ class Tradeoffs(Section):
     published_stages: list[PublishedStage] = Field(description="published costs by stage")
     studies: dict[Name, Study] = Field(min_length=1, description="studies by name")
 
+    def site_of(self, study: Study) -> str:
+        """Site file on which a study is measured."""
+        return study.site or self.sites[study.job]
+
 
 def load_tradeoffs(path: str | os.PathLike[str], has_open3d: bool | None = None) -> Tradeoffs:
     """Read and check the file; studies of Open3D are left out where it cannot be loaded.
@@ -192,12 +197,14 @@ def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, Resol
     ------
     InputError : as `roadsight.config.load.load_sites`, or a study names an unknown plan.
     """
-    files = list(dict.fromkeys(tradeoffs.sites.values()))
+    files = dict.fromkeys(tradeoffs.sites.values())
     for study in tradeoffs.studies.values():
+        file = tradeoffs.site_of(study)
+        files[file] = None
         plans = [plan for plan in map(study.plan, study.levels) if plan]
         if plans:
-            load_site(tradeoffs.sites[study.job], config.model_copy(update={"plans": plans}))
-    return load_sites(config.model_copy(update={"sites": files, "plans": []}))
+            load_site(file, config.model_copy(update={"plans": plans}))
+    return load_sites(config.model_copy(update={"sites": list(files), "plans": []}))
 
 
 def load_overrides(path: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ rule measure_tradeoff:
     resources:
         mem_mb=4000,
     params:
-        site=lambda wildcards: site_of_job(STUDIES[wildcards.study].job),
+        site=site_of_study,
         config=lambda wildcards: config_of_study(wildcards),
         changes=lambda wildcards: json.dumps(changes_of_level(wildcards)),
         plan=plan_of_level,
@@ -41,7 +41,7 @@ rule measure_tradeoff:
 
 rule measure_base:
     input:
-        base=lambda wildcards: base_of_job(wildcards.job),
+        base=lambda wildcards: base_at(TRADEOFFS.sites[wildcards.job]),
         code=sources("measure_base"),
     output:
         costs="results/tradeoffs/base/{job}.json",
@@ -55,8 +55,8 @@ rule measure_base:
         mem_mb=4000,
     params:
         site=lambda wildcards: site_of_job(wildcards.job),
-        config=lambda wildcards: config_of_job(wildcards.job),
-        targets=lambda wildcards: targets_of_job(wildcards.job),
+        config=lambda wildcards: config_of_site(TRADEOFFS.sites[wildcards.job]),
+        targets=lambda wildcards: targets_at(TRADEOFFS.sites[wildcards.job]),
         work="results/tradeoffs/variants/base-{job}",
     shell:
         "python -m roadsight.stages.evidence.measure_base --site {params.site}"

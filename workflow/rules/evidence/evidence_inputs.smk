@@ -133,41 +133,51 @@ def plan_of_level(wildcards):
 
 
 @lru_cache(maxsize=None)
+def site_named(file):
+    """Name of the site of a site file."""
+    return clearly(load_site, file, OWN_PLANS).site.site
+
+
 def site_of_job(job):
-    """Name of the site on which a job's studies are measured."""
-    return clearly(load_site, TRADEOFFS.sites[job], OWN_PLANS).site.site
+    """Name of the site on which a job's studies are measured, if they name none."""
+    return site_named(TRADEOFFS.sites[job])
+
+
+def site_of_study(wildcards):
+    return site_named(TRADEOFFS.site_of(STUDIES[wildcards.study]))
 
 
 def config_of_study(wildcards):
-    return config_of_job(STUDIES[wildcards.study].job)
+    return config_of_site(TRADEOFFS.site_of(STUDIES[wildcards.study]))
 
 
-def config_of_job(job):
-    """The configuration with the site of a job's studies and its own plans alone.
+def config_of_site(site):
+    """The configuration with one site and its own plans alone.
 
     Neither the file that names the studies nor plans that this run asks for make a level stale.
     """
     file = type(CONFIG).model_fields["tradeoffs_file"].default
-    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file}
+    changes = {"sites": [site], "tradeoffs_file": file}
     return OWN_PLANS.model_copy(update=changes).model_dump_json()
 
 
 @lru_cache(maxsize=None)
-def targets_of_job(job):
-    """Everything that any study of a job reads, below the site's results."""
-    plan = next(iter(plans_of(site_of_job(job))), "")
-    metrics = [METRICS[m] for s in STUDIES.values() if s.job == job for m in s.metrics]
+def targets_at(file):
+    """Everything that any study at a site reads, below the site's results."""
+    plan = next(iter(plans_of(site_named(file))), "")
+    studies = [study for study in STUDIES.values() if TRADEOFFS.site_of(study) == file]
+    metrics = [METRICS[metric] for study in studies for metric in study.metrics]
     targets = dict.fromkeys(target for metric in metrics for target in metric.targets)
     return [target.format(plan=plan) for target in targets]
 
 
-def base_of_job(job):
+def base_at(file):
     """The same at the site's own settings."""
-    return [f"results/{site_of_job(job)}/{target}" for target in targets_of_job(job)]
+    return [f"results/{site_named(file)}/{target}" for target in targets_at(file)]
 
 
 def base_of_study(wildcards):
-    return base_of_job(STUDIES[wildcards.study].job)
+    return base_at(TRADEOFFS.site_of(STUDIES[wildcards.study]))
 
 
 def measured_jobs():

@@ -10,8 +10,11 @@ from roadsight.base.section import Count, Section
 
 
 class HighwayScene(Section):
-    """A highway scanned from a vehicle."""
+    """A highway with exactly known surfaces."""
 
+    scanned_from: Literal["vehicle", "air"] = Field(
+        default="vehicle", description="highway: where its scanner is"
+    )
     points: Count = Field(default=3_500_000, description="highway: points to scan")
     radius_m: float = Field(
         default=600.0, ge=100, le=1e6, description="highway: radius of its curve, m; 1e6: straight"

@@ -19,6 +19,7 @@ from roadsight.io.vector.sample import write_native_lines
 from roadsight.io.vector.vectors import write_layers
 from roadsight.scene.classes import VEGETATION
 from roadsight.stages.command import Command
+from roadsight.synthetic.highway.airborne_survey import survey
 from roadsight.synthetic.highway.highway import EPSG, build_highway
 from roadsight.synthetic.highway.mobile_scanner import PointChunk, scan
 from roadsight.synthetic.highway.truth import digitised_edges, truth_layers
@@ -50,7 +51,8 @@ def generate_sample(
     )
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(seed).spawn(2)
-    xyz_m, dims = _cloud(scan(highway, scene.points, scan_rng))
+    scanned = survey if scene.scanned_from == "air" else scan
+    xyz_m, dims = _cloud(scanned(highway, scene.points, scan_rng))
     if class_scheme == "plants":
         classes = dims[TRUTH_DIMENSION]
         dims["classification"] = np.where(np.isin(classes, VEGETATION), classes, 0).astype(np.uint8)
