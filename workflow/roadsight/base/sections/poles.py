@@ -179,8 +179,7 @@ class PoleMasks(Section):
 
     mask_rule: Literal["axes", "published"] = Field(
         default="axes",
-        description="what a pole is: upright parts by their axes and the numbers below, or as"
-        " published",
+        description="poles by their axes and the numbers below, or as published",
     )
 
     min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
@@ -194,8 +193,7 @@ class SideViews(Section):
 
     side_views: Literal["found", "given", "stitched"] = Field(
         default="found",
-        description="a side view whose yaw the drive does not tell: left out, or as given; or all"
-        " beside the front view in its plane, as published",
+        description="unknown yaws: left out or as given; stitched: one plane, as published",
     )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
