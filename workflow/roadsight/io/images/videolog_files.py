@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 def dealt_images(
-    table: str | os.PathLike[str], images: str, shards: int, every: int = 1
+    table: str | os.PathLike[str], images: str, shards: int, every: int
 ) -> dict[str, int]:
     """Shard of each image of a videolog, of which every ``every``-th image is used.
 
@@ -32,7 +32,7 @@ def dealt_images(
 
 
 def files_by_shard(
-    table: str | os.PathLike[str], folders: list[str], shards: int, every: int = 1
+    table: str | os.PathLike[str], folders: list[str], shards: int, every: int
 ) -> list[list[Path]]:
     """Files that belong to the images of each shard, by the names in the videolog's table.
 
