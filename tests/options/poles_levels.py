@@ -311,6 +311,11 @@ def tunnel(sites: Finished, level: str) -> None:
     _highway(sites, f"tunnel-{level}", "--tunnel", level)
 
 
+@run_of("sample.scanned_from", "vehicle", "air")
+def scanned_from(sites: Finished, level: str) -> None:
+    _highway(sites, f"from-{level}", "--scanned-from", level)
+
+
 @run_of("sample.overhead", "True", "False")
 def overhead(sites: Finished, level: str) -> None:
     _highway(sites, f"overhead-{level}", "--overhead", level)
