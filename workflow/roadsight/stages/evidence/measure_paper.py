@@ -93,7 +93,7 @@ def _facts(folder: Path, lane_width_m: float) -> dict[str, float | None]:
     edges = read_layer(folder / "placement/edges.gpkg", "edges", frame).geometry
     pavement = read_layer(folder / "scene/pavement.gpkg", "pavement", frame).geometry
     facts = site_facts(
-        stack_xyz(CloudTiles(folder / "scene/cloud.parquet").read(("x", "y", "z"))),
+        stack_xyz(CloudTiles(folder / "scene/cloud.parquet").read(("x", "y", "z"))).astype(float),
         list(edges),
         shapely.union_all(pavement.to_numpy()),
         lane_width_m,
