@@ -33,6 +33,8 @@ NO_NUMERICS = {
     "plan_choices": "reads what two stages share",
     "try_removals": "solves as solve_cover, whose cases hold for it",
     "measure_base": "runs other stages",
+    "measure_paper": "runs other stages",
+    "published_inputs": "part of align_cameras: reads the registered camera",
     "measure_data": "counts what detections and scans say",
     "measure_precision": "compares single and double precision",
     "measure_tradeoff": "runs other stages",

@@ -37,6 +37,7 @@ CALLS = {
     "ground": "ground {street}/cloud.laz --pillar-width-m 0.25 --height-threshold-m 0.12"
     " --coarse-cell-m 0.5 --max-object-width-m 20 --slope 0.3 --coarse-tolerance-m 0.3"
     f" {LOCAL} -o {{out}}/ground.laz",
+    "ground by pillars": f"ground {{street}}/cloud.laz --method pillars {LOCAL} -o {{out}}/low.laz",
     "pavement": f"pavement {{street}}/cloud.laz {LOCAL} {ROAD} --track {{files}}/track.csv"
     " -o {out}/pavement.laz",
     "edges": f"edges {{street}}/cloud.laz {LOCAL} {ROAD} --track {{files}}/track.csv"
@@ -51,6 +52,7 @@ CALLS = {
     " --needs {files}/needs.npy --mandatory {files}/mandatory.npy --forbidden {files}/forbidden.npy"
     " --positions {files}/positions.npy --spacing 0.5 --alternatives --second 5 --time-limit 20"
     " --seed 2 -o {out}/cover.json",
+    "cover by HiGHS": "cover {files}/cover.npz --solver highs --verify 20 -o {out}/whole.json",
     "cover twice": "cover {files}/cover.npz --at-least 2 -o {out}/twice.json",
     "cover with failures": "cover {files}/cover.npz --keep-share 0.5 -o {out}/share.json",
     "cover for a price": "cover {files}/cover.npz --price 0.4 --weights {files}/weights.npy"

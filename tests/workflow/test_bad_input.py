@@ -121,7 +121,7 @@ def test_published_alignment_without_a_registered_camera(checkout):
     }
     content |= {"poles": {"images": "photos", "videolog": "drive.csv", **shown}}
     (folder / "lane.yaml").write_text(yaml.safe_dump(content))
-    named = ("--configfile", "config/published_poles.yaml", "--config", "sites=[lane]")
+    named = ("--configfile", "config/published.yaml", "--config", "sites=[lane]")
     message = refused_by_snakemake(checkout, *named)
     assert "config/sites/lane.yaml: poles.baseline" in message
     assert "registered camera of each image size" in message

@@ -39,6 +39,7 @@ def frames(tmp_path):
     table = pd.DataFrame(
         {
             "image": [f"a{i}.jpg" for i in range(count)], "route": "r", "sequence": range(count),
+            "x": 0.0, "y": 0.0,
             "path": [f"a{i}.jpg" for i in range(count)], "left_path": "", "right_path": "",
             "status": ["ok"] * (count - 1) + ["no position"],
         }
