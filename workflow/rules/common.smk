@@ -10,7 +10,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import check_engines, load_config, load_site, load_sites, merged
+from roadsight.config.load import (
+    check_engines,
+    load_config,
+    load_site,
+    load_sites,
+    merged,
+)
 from roadsight.config.named import NamedValue
 from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
@@ -65,7 +71,8 @@ AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
 SITES = (
     clearly(load_evidence_sites, CONFIG, TRADEOFFS)
     | clearly(
-        load_sites, OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]})
+        load_sites,
+        OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]}),
     )
     | ASKED_SITES
 )
