@@ -167,9 +167,11 @@ def lidar_model(sites: Finished, level: str) -> None:
         "render_depth_maps", "--model", level, *network, candidates=few, out=f"depth-{level}"
     )
     maps, usual = (_maps(sites, name) for name in (f"depth-{level}", "depth0"))
+    # The preliminary map has no range where a cell holds no point: most cells of a fine grid.
+    least = 0.1 if level == "preliminary" else 0.5
     for name, range_m in maps.items():
         both = (range_m > 0) & (usual[name] > 0)
-        assert both.sum() > 0.5 * (usual[name] > 0).sum()
+        assert both.sum() > least * (usual[name] > 0).sum(), both.sum() / (usual[name] > 0).sum()
         assert np.median(np.abs(range_m - usual[name])[both]) < 0.5
 
 
