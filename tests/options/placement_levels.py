@@ -167,12 +167,14 @@ def lidar_model(sites: Finished, level: str) -> None:
         "render_depth_maps", "--model", level, *network, candidates=few, out=f"depth-{level}"
     )
     maps, usual = (_maps(sites, name) for name in (f"depth-{level}", "depth0"))
-    # A preliminary map has no range where a cell holds no point, and elsewhere the nearest one.
-    least, most_m = (0.05, 2.0) if level == "preliminary" else (0.5, 0.5)
+    # A preliminary map returns the nearest point of each cell: 0.27 and 0.53 m off here, and short.
+    most_m = 0.6 if level == "preliminary" else 0.5
     for name, range_m in maps.items():
         both = (range_m > 0) & (usual[name] > 0)
-        share, apart_m = both.sum() / (usual[name] > 0).sum(), np.abs(range_m - usual[name])[both]
-        assert (share > least, np.median(apart_m) < most_m) == (True, True), (share, apart_m)
+        assert both.sum() > 0.5 * (usual[name] > 0).sum()
+        apart_m = (range_m - usual[name])[both]
+        assert np.median(np.abs(apart_m)) < most_m
+        assert level != "preliminary" or (apart_m <= 0.1).mean() > 0.8
 
 
 def _few_candidates(sites: Finished, count: int = 2) -> str:
