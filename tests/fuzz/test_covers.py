@@ -1,6 +1,7 @@
 """Covers in any unit, type and layout against all subsets."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from tests.fuzz.covers import least_cost, least_objective, posed, posed_deployme
 
 STEPS = {"ones", "whole"}
 """Kinds of cost with a step, whose proofs are exact but for rounding."""
-FULL_PLANS = [pytest.param(3_000, marks=pytest.mark.full), 40]
-FULL = [pytest.param(20_000, marks=pytest.mark.full), 1_500]
+TIMES = int(os.environ.get("ROADSIGHT_FUZZ", "1"))
+"""How many times as many instances: 5 for 20,000 covers, a quarter of an hour and more."""
+FULL_PLANS = [pytest.param(400 * TIMES, marks=pytest.mark.full), 40]
+FULL = [pytest.param(4_000 * TIMES, marks=pytest.mark.full), 1_500]
 
 
 def check(seed):
@@ -137,6 +140,19 @@ def test_covers_are_the_best_of_all_subsets(count):
 )
 def test_plans_are_the_best_of_all_subsets(check_one, count):
     each(check_one, count)
+
+
+@pytest.mark.parametrize(
+    ("check_one", "seed"),
+    [
+        (check_deployment, 302),  # nothing is allowed, costs differ by 22 orders of magnitude
+        (check_deployment, 2194),  # a cost of 5e-9 is what a price of 4.2 leaves, but for rounding
+        (check_whole, 175),
+        (check_curve, 441),  # a budget of 0 beside charges from 2e-5 to 1e9
+    ],
+)
+def test_costs_that_are_far_apart_are_proven(check_one, seed):
+    check_one(seed)
 
 
 @pytest.mark.parametrize("kind", ["ones", "whole", "fractions"])

@@ -14,6 +14,7 @@ from roadsight.synthetic.rural.videolog import (
     GpsNoise,
     attitude_of,
     drifting,
+    image_names,
     mounted,
     random_drives,
     shots,
@@ -150,3 +151,9 @@ def test_a_drift_stays_within_its_bound_for_19_of_20_places():
     gps = replace(drifting(3.0), white_sigma_m=0.0)
     errors = np.array([gps.draw(8.0 * np.arange(126), rng) for _ in range(400)])
     assert (np.abs(errors) < 3.0).mean() == pytest.approx(0.954, abs=0.02)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_names_of_images_are_known_before_they_are_taken(site, every):
+    taken = [[shot.name() for shot in shots(site, drive, 5)] for drive in random_drives(5)]
+    assert image_names(site.length_m, every) == [name for one in taken for name in one[::every]]

@@ -1,7 +1,9 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
-from roadsight.io.images.camera_tables import corrections_of, posed_images
+from roadsight.base.shards import deal
+from roadsight.io.images.camera_tables import corrections_of
 from roadsight.io.images.videolog_files import check_corrections, dealt_images
+from roadsight.synthetic.rural.videolog import image_names
 
 
 def aligns(wildcards):
@@ -166,22 +168,17 @@ def shard_corrections(wildcards):
 
 @lru_cache(maxsize=None)
 def images_by_shard(site, path):
-    """Names of each shard's images; refuse corrections of which none is about an image.
-
-    Which images a sample has is not known before it is generated: all corrections are for all.
-    """
+    """Names of each shard's images; refuse corrections of which none is about an image."""
     resolved = SITES[site]
+    shards, every = resolved.settings.shards, resolved.settings.videolog.every
     if resolved.site.sample:
-        return [posed_images(path)] * resolved.settings.shards
-    images = resolved.beside(resolved.site.poles.images)
-    table = resolved.beside(resolved.site.poles.videolog) or images
-    check_corrections(table, images, path)
-    settings = resolved.settings
-    dealt = dealt_images(table, images, settings.shards, settings.videolog.every)
-    return [
-        {name for name, own in dealt.items() if own == shard}
-        for shard in range(settings.shards)
-    ]
+        dealt = deal(image_names(resolved.site.sample.length_m, every), shards)
+    else:
+        images = resolved.beside(resolved.site.poles.images)
+        table = resolved.beside(resolved.site.poles.videolog) or images
+        check_corrections(table, images, path)
+        dealt = dealt_images(table, images, shards, every)
+    return [{name for name, own in dealt.items() if own == shard} for shard in range(shards)]
 
 
 def corrections_file(wildcards):

@@ -55,7 +55,7 @@ class Builder:
         """Take choices over if they are allowed and better than the best."""
         chosen = np.unique(choices).astype(np.int64)
         value = self.deployment.objective(chosen)
-        if value < self.value - _NEARER * self.deployment.near(value):
+        if value < math.inf and value < self.value - _NEARER * self.deployment.near(value):
             self.best, self.value = chosen, value
             return True
         return False

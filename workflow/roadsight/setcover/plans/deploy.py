@@ -25,9 +25,10 @@ from roadsight.setcover.common.result import (
 from roadsight.setcover.cover.solve import solve_cover_problem
 from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cut, Cuts
-from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.deployment import ROUNDED, Deployment
 from roadsight.setcover.plans.master import Master
 from roadsight.setcover.plans.tree import Tree
+from roadsight.setcover.plans.whole import any_allowed
 
 _STEPS = 2_000
 """Trials of the greedy search between two covers that are not proven."""
@@ -90,6 +91,10 @@ def solve_deployment(
         master = Master(builder.cuts, pool)
         tree = Tree(master, builder, gap).run(floor, deadline)
         proof, nodes, pool = tree.bound, tree.nodes, master.pool()
+    if builder.best is None:
+        if (allowed := any_allowed(deployment, deadline)) is None:
+            return Deployed(_infeasible(start), pool)
+        builder.offer(allowed)
     found = _assemble(deployment, builder, proof, nodes, start, gap)
     return Deployed(
         replace(found, objective=found.objective * unit, bound=found.bound * unit), pool
@@ -157,7 +162,8 @@ def _affordable(deployment: Deployment) -> Deployment:
         return deployment
     builder = Builder(Cuts(deployment), np.random.default_rng(SEED))
     builder.build(np.empty(0, np.int64))
-    most = builder.value + deployment.worth * deployment.total
+    worth = deployment.worth * deployment.total
+    most = builder.value + worth + ROUNDED * worth  # the sum may cancel but for its rounding
     dear = (cost > most * (1 + 1e-9)) & ~deployment.problem.mandatory
     banned = np.flatnonzero(deployment.problem.forbidden | dear)
     problem = deployment.problem.changed(forbidden=banned)

@@ -23,7 +23,7 @@ from roadsight.setcover.common.problem import (
 
 _ROUNDING = 1e-12
 """Share of a budget that sums of charges may exceed it by: they are rounded."""
-_ROUNDED = 2.0**-43
+ROUNDED = 2.0**-43
 """Share of its terms by which an objective may be rounded."""
 _LEAST_STEP = 1e-3
 """Common steps of the objective that are smaller, as a share of its largest term, do not count:
@@ -149,7 +149,7 @@ class Deployment:
 
     def near(self, best: float) -> float:
         """How near to ``best`` an objective without a step is proven."""
-        rounded = _ROUNDED * (abs(best) + self.worth * self.total)
+        rounded = ROUNDED * (abs(best) + self.worth * self.total)
         return max(NEAR * abs(best + self.shift), rounded, sys.float_info.min)
 
     def normalised(self) -> tuple[Deployment, float, float]:
@@ -157,20 +157,25 @@ class Deployment:
 
         Solvers' tolerances are absolute. Weights are divided by the greatest, charges too, costs by
         what the target that is dearest to see, or to leave unseen, costs at least. All units are
-        powers of two, by which nothing is rounded.
+        powers of two, by which nothing is rounded. Choices that the budget excludes are forbidden,
+        so that the greatest charge is one that can be spent.
         """
+        out = self.problem.forbidden
+        out = out | ((self.charge > self.spendable) & ~self.problem.mandatory)
+        charges = np.where(out, 0.0, self.charge)
         weight = power_of_two(
             float(np.max(self.weights, initial=0.0, where=self.problem.at_least > 0))
         )
-        charge = power_of_two(float(np.max(self.charge, initial=0.0)))
+        charge = power_of_two(float(np.max(charges, initial=0.0)))
         cost = power_of_two(self._least() or self.worth * weight or float(self.cost.max(initial=0)))
         return (
             replace(
                 self,
+                problem=self.problem.changed(forbidden=np.flatnonzero(out)),
                 weights=self.weights / weight,
                 worth=self.worth * weight / cost,
                 cost=self.cost / cost,
-                charge=self.charge / charge,
+                charge=charges / charge,
                 budget=self.budget / charge,
                 floor=self.floor / weight,
             ),

@@ -101,6 +101,10 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
         builder.offer(chosen)
         if builder.best is None:  # allowed within the solver's tolerance only
             builder.build(chosen)
+    if builder.best is None:
+        if (allowed := any_allowed(scaled, deadline)) is None:
+            return _infeasible(start)
+        builder.offer(allowed)
     least = max(found.bound + constant, -scaled.worth * scaled.total)
     value, bound = builder.value, scaled.round_up(least)
     proven, bound = bound > scaled.goal(value), min(bound, value)
@@ -119,6 +123,19 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
         solver=HIGHS,
         proved_by=HIGHS,
     )  # fmt: skip
+
+
+def any_allowed(deployment: Deployment, deadline: Deadline) -> Ints | None:
+    """Sorted choices that are allowed, whatever they cost; empty if not found, None if none are.
+
+    Costs over many orders of magnitude leave a solver's tolerances no meaning. Without them what
+    is impossible is proven.
+    """
+    free = replace(deployment, cost=np.zeros(len(deployment.cost)), worth=0.0)
+    found = run_program(whole_program(free)[0], deadline)
+    if found.x is None:
+        return None if math.isinf(found.bound) and found.bound > 0 else np.empty(0, np.int64)
+    return np.flatnonzero(found.x[: len(deployment.cost)] > 0.5)
 
 
 def verify(deployment: Deployment, cover: Cover, limit: Deadline) -> Verified:

@@ -26,6 +26,8 @@ from roadsight.synthetic.rural.rural_road import RuralSite
 
 _USUAL = RuralScene()
 """What a rural road is, unless asked for another."""
+_STEPS_M = {"sr1427e": 8.0, "sr1427w": 16.0}
+"""Metres between two images of each route: ahead and back."""
 _STITCH_OVERLAP_DEG = 1.5
 """Side views overlap the front view by so much."""
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -130,7 +132,24 @@ class Shot:
     def name(self, view: str = "front") -> str:
         """File name of the view's image."""
         ending = "" if view == "front" else f"_{view}"
-        return f"{self.route}_{self.sequence:04d}{ending}.jpg"
+        return f"{_place_name(self.route, self.sequence)}{ending}.jpg"
+
+
+def image_names(length_m: float, every: int = 1) -> list[str]:
+    """Names of the front images on a road of that length, every ``every``-th of each route."""
+    return [
+        f"{_place_name(route, number + 1)}.jpg"
+        for route, step_m in _STEPS_M.items()
+        for number in range(0, _places(length_m, step_m), every)
+    ]
+
+
+def _place_name(route: str, sequence: int) -> str:
+    return f"{route}_{sequence:04d}"
+
+
+def _places(length_m: float, step_m: float) -> int:
+    return int(length_m / step_m + 1e-9) + 1
 
 
 def random_drives(
@@ -164,9 +183,10 @@ def random_drives(
     views = {"front": 0.0}
     if side_views:
         views |= {"left": -turn, "right": turn}
+    (ahead, ahead_m), (back, back_m) = _STEPS_M.items()
     return (
-        Drive("sr1427e", True, 8.0, narrow, _random_mount(2.2, rng), views, gps=gps),
-        Drive("sr1427w", False, 16.0, wide, _random_mount(1.6, rng), {"front": 0.0}, gps=gps),
+        Drive(ahead, True, ahead_m, narrow, _random_mount(2.2, rng), views, gps=gps),
+        Drive(back, False, back_m, wide, _random_mount(1.6, rng), {"front": 0.0}, gps=gps),
     )
 
 
@@ -188,7 +208,7 @@ def _random_mount(height_m: float, rng: np.random.Generator) -> Mount:
 def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     """Every place of a drive in order; the same arguments give the same places."""
     rng = np.random.default_rng([seed, 22, int(drive.forward)])
-    count = int(site.length_m / drive.step_m + 1e-9) + 1
+    count = _places(site.length_m, drive.step_m)
     travelled = drive.step_m * np.arange(count, dtype=np.float64)
     station = travelled if drive.forward else site.length_m - travelled
     way_m = site.ground.section.drive_m * (-1.0 if drive.forward else 1.0)
