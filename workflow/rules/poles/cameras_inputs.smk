@@ -178,7 +178,9 @@ def images_by_shard(site, path):
         table = resolved.beside(resolved.site.poles.videolog) or images
         check_corrections(table, images, path)
         dealt = dealt_images(table, images, shards, every)
-    return [{name for name, own in dealt.items() if own == shard} for shard in range(shards)]
+    return [
+        {name for name, own in dealt.items() if own == shard} for shard in range(shards)
+    ]
 
 
 def corrections_file(wildcards):
