@@ -52,6 +52,12 @@ def check(seed):
         assert cover.objective * (1 - gap) <= best * (1 + 1e-12)
 
 
+def far_apart(deployment):
+    """Whether floats cannot hold what a proof of redundancy compares."""
+    cost = deployment.cost[deployment.cost > 0]
+    return deployment.keep > 0 and cost.max(initial=0) > 1e12 * cost.min(initial=np.inf)
+
+
 def check_deployment(seed):
     rng = np.random.default_rng([10_000, seed])
     deployment = posed_deployment(rng)
@@ -62,11 +68,11 @@ def check_deployment(seed):
         assert cover.status == "infeasible" or (limit is not None and math.isinf(cover.objective))
         return
     assert cover.bound <= best + room
+    if limit is None and not far_apart(deployment):
+        assert cover.status == "optimal"
     if math.isfinite(cover.objective):
         assert cover.objective == pytest.approx(deployment.objective(cover.chosen), abs=room)
         assert cover.objective >= best - room
-    if limit is None:
-        assert cover.status == "optimal"
     if cover.status == "optimal":
         assert cover.objective <= best + room
 
