@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 
+from roadsight.base.errors import InputError
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.problem import NEAR
@@ -81,7 +82,11 @@ def check_whole(seed):
     rng = np.random.default_rng([10_000, seed])
     deployment = posed_deployment(rng)
     best, room = least_objective(deployment)
-    cover = solve_whole(deployment, None)
+    try:
+        cover = solve_whole(deployment, None)
+    except InputError as error:
+        assert "too far apart" in str(error)
+        return
     if math.isinf(best):
         assert cover.status == "infeasible"
         return
@@ -153,7 +158,7 @@ def test_plans_are_the_best_of_all_subsets(check_one, count):
     [
         (check_deployment, 302),  # nothing is allowed, costs differ by 22 orders of magnitude
         (check_deployment, 2194),  # a cost of 5e-9 is what a price of 4.2 leaves, but for rounding
-        (check_whole, 175),
+        (check_whole, 835),  # HiGHS would prove -2.6 where -2.7 is possible: refused
         (check_curve, 441),  # a budget of 0 beside charges from 2e-5 to 1e9
     ],
 )

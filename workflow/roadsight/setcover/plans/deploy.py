@@ -28,7 +28,7 @@ from roadsight.setcover.plans.cuts import Cut, Cuts
 from roadsight.setcover.plans.deployment import ROUNDED, Deployment
 from roadsight.setcover.plans.master import Master
 from roadsight.setcover.plans.tree import Tree
-from roadsight.setcover.plans.whole import any_allowed, solve_whole
+from roadsight.setcover.plans.whole import any_allowed
 
 _STEPS = 2_000
 """Trials of the greedy search between two covers that are not proven."""
@@ -96,8 +96,6 @@ def solve_deployment(
             return Deployed(_infeasible(start), pool)
         builder.offer(allowed)
     found = _assemble(deployment, builder, proof, nodes, start, gap)
-    if found.status == TIME_LIMIT and not deadline.passed():
-        found = _by_highs(deployment, found, deadline, gap)
     return Deployed(
         replace(found, objective=found.objective * unit, bound=found.bound * unit), pool
     )
@@ -152,15 +150,6 @@ def _by_cover(
         builder.offer(cover.chosen)
         builder.build(cover.chosen)
     return cover.bound + least
-
-
-def _by_highs(deployment: Deployment, found: Cover, deadline: Deadline, gap: float) -> Cover:
-    """What HiGHS makes of a deployment whose numbers ended our tree before its limit."""
-    whole = solve_whole(deployment, deadline, gap)
-    if whole.status in (OPTIMAL, WITHIN_GAP):
-        return replace(whole, solver=found.solver)
-    better = whole if whole.objective < found.objective else found
-    return replace(better, bound=max(whole.bound, found.bound), solver=found.solver)
 
 
 def _affordable(deployment: Deployment) -> Deployment:
