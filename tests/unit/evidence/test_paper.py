@@ -53,10 +53,10 @@ def pole_run(fewer: int) -> dict:
             {"component": "alignment", "f1_3m": 0.1},
         ],
         "voxels": 10,
-        "edge_points": 5,
+        "road_edges": 5,
         "images": 4,
         "cameras_m": [[0.0, 0.0], [100.0, 10.0]],
-        "sightings": {"a": 2 - fewer, "b": 1},
+        "shown": {"a": 2 - fewer, "b": 1},
         "poles_m": [[50.0, 3.0]],
     }
 

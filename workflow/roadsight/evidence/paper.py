@@ -56,7 +56,7 @@ _FOOT_M = 0.3048
 _MILE_KM = 1.609344
 
 _FEWER_CANDIDATES = {
-    "candidates": {"spacing_m": 20, "height_step_m": 3},
+    "candidates": {"spacing_m": 40, "height_step_m": 3},
     "coverage": {"rounds": 1},
 }
 _FEWEST_CANDIDATES = {
@@ -130,9 +130,7 @@ def runs(size: Size) -> dict[str, Run]:
         )
     for height in (0, *HEIGHTS_PX):
         changes = few | {"networks": {"image_height_px": height or _NATIVE_PX}}
-        targets = ("poles/validation.json",)
-        if not height:
-            targets += ("poles/components.json",)
+        targets = ("poles/pole_axes/0.parquet",) if height else ("poles/components.json",)
         found[f"route-height_{height}"] = Run(POLE_SITE, False, changes, (), targets)
     return found
 
@@ -381,7 +379,7 @@ def _heights(measured: Measured) -> list[dict[str, Any]]:
         run = measured[f"route-height_{height}"]
         label = "native" if height == 0 else f"{height} px"
         theirs = published.FEWER_POLES.get(height)
-        fewer = fewer_poles_share(run["sightings"], native["sightings"], native["images"])
+        fewer = fewer_poles_share(run["shown"], native["shown"], native["images"])
         about = "poles", "Image height", "Route", label
         found.append(_row(*about, "images with fewer poles", "%", theirs, None, 100 * fewer))
         cost = _cpu_s(run, ("segment_images",)) / 60 / (run["length_km"] / _MILE_KM)
@@ -391,10 +389,10 @@ def _heights(measured: Measured) -> list[dict[str, Any]]:
 
 
 def fewer_poles_share(
-    sightings: Mapping[str, int], native: Mapping[str, int], images: int
+    shown: Mapping[str, int], native: Mapping[str, int], images: int
 ) -> float:
     """Share of images that show fewer poles than at their own height."""
-    fewer = sum(sightings.get(image, 0) < count for image, count in native.items())
+    fewer = sum(shown.get(image, 0) < count for image, count in native.items())
     return fewer / images if images else math.nan
 
 
@@ -407,7 +405,7 @@ def _voxels(measured: Measured) -> list[dict[str, Any]]:
         about = "poles", "Voxel size", "Route", f"{feet} ft"
         cost = _cpu_s(run, ("rasterise_lidar",))
         found.append(_row(*about, "points", "", theirs["points"], run["voxels"]))
-        found.append(_row(*about, "edge points", "", theirs["edge points"], run["edge_points"]))
+        found.append(_row(*about, "edge points", "", theirs["edge points"], run["road_edges"]))
         found.append(_row(*about, "time", "s", theirs["seconds"], cost))
     return found
 

@@ -68,7 +68,6 @@ def run_program(
     limit: Deadline,
     gap: float = 0.0,
     step: float = 0.0,
-    start: Floats | None = None,
     enough: float = math.inf,
 ) -> Programmed:
     """Solve a program with one thread and a fixed seed.
@@ -79,7 +78,7 @@ def run_program(
     Parameters
     ----------
     gap : share of the objective that is near enough. step : objectives are multiples of it, and a
-        gap below one is no gap. start : values to begin with. enough : bound at which to stop.
+        gap below one is no gap. enough : bound at which to stop.
     """
     highs = quiet_highs(
         mip_feasibility_tolerance=_FEASIBLE,
@@ -91,11 +90,6 @@ def run_program(
     if math.isfinite(clock_s):
         highs.setOptionValue("time_limit", clock_s)
     highs.passModel(_model(program))
-    if start is not None:
-        solution = highspy.HighsSolution()
-        solution.col_value = start
-        highs.setSolution(solution)
-
     patience = Patience(limit)
 
     def look(event: highspy.HighsCallbackEvent) -> None:

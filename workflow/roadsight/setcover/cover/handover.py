@@ -38,6 +38,9 @@ def branch_by_highs(
 ) -> Outcome:
     """Outcome of an instance whose cheaper covers, if any, lie in a node.
 
+    HiGHS is not told of the best cover: with it a tree of 60 choices and 400 targets took 28 CPU s,
+    without 10.
+
     Parameters
     ----------
     node : choices that are not alive in it are in no cheaper cover. best : a cover.
@@ -51,7 +54,6 @@ def branch_by_highs(
         deadline,
         gap if gap else 0.0 if instance.integral else NEAR / 2,
         1.0 if instance.integral else 0.0,
-        best[alive].astype(np.float64),
     )
     # Covers that the node leaves out cost more than the goal, by a step where there is one.
     beyond = cost if instance.integral else float(np.nextafter(instance.goal(cost), np.inf))

@@ -49,7 +49,7 @@ from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deployment import Deployment
 
 PUBLISHED_GAP = 1e-5
-"""Integer gap of the placement paper (its section 4.3): smaller ones are not asked for."""
+"""Integer gap of the placement paper (its section 3.2): smaller ones are not asked for."""
 _FARTHEST = 1e8
 """Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
 the greatest. Of 3,000 random plans it proved two wrongly, with weights 1e9 apart and more."""
@@ -196,7 +196,8 @@ def verify(deployment: Deployment, cover: Cover, limit: Deadline) -> Verified:
         )
     least = ours - (scaled.step * (1 - 1e-6) if scaled.step else room)
     found = run_program(program, limit, 0.0, scaled.step, enough=least - constant + room)
-    bound = scaled.round_up(found.bound + constant)
+    # A run that is stopped early has no bound yet.
+    bound = scaled.round_up(max(found.bound + constant, -scaled.worth * scaled.total))
     objective = math.inf
     if found.x is not None:
         objective = scaled.objective(np.flatnonzero(found.x[: len(scaled.cost)] > 0.5))

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+import pandas as pd
 import shapely
 
 from roadsight.config.load import load_config, load_sites, merged
@@ -141,23 +142,20 @@ def _picture(path: Path) -> str:
 
 
 def _poles(folder: Path) -> dict[str, Any]:
-    """Validation, components, counts of voxels and sightings, and places for the map."""
+    """Validation, components, counts of voxels and of poles shown, and places for the map."""
     content: dict[str, Any] = {}
     for name in ("validation", "components", "camera_scores"):
         path = folder / f"poles/{name}.json"
         content[name] = read_json(path) if path.is_file() else None
-    content["voxels"] = len(read_table(folder / "poles/voxels.parquet", ["ix"]))
-    content["edge_points"] = len(read_table(folder / "poles/road_edges.parquet", ["x"]))
+    for name, column in (("voxels", "ix"), ("road_edges", "x")):
+        path = folder / f"poles/{name}.parquet"
+        content[name] = len(read_table(path, [column])) if path.is_file() else None
     frames = read_table(folder / "poles/frames.parquet", ["image", "x", "y"])
     content["images"] = len(frames["image"].unique())
     content["cameras_m"] = frames[["x", "y"]].dropna().to_numpy().round(2).tolist()
-    shards = sorted((folder / "poles/sightings").glob("*.parquet"))
-    counts: dict[str, int] = defaultdict(int)
-    for path in shards:
-        table = read_table(path, ["image", "kept"])
-        for image in table.loc[table["kept"], "image"]:
-            counts[str(image)] += 1
-    content["sightings"] = dict(sorted(counts.items()))
+    shards = sorted((folder / "poles/pole_axes").glob("*.parquet"))
+    shown = pd.concat([read_table(path, ["image"]) for path in shards] or [pd.DataFrame()])
+    content["shown"] = {} if shown.empty else shown["image"].value_counts().sort_index().to_dict()
     poles = folder / "poles/poles.parquet"
     if poles.is_file():
         table = read_table(poles, ["x", "y", "kept"])
