@@ -1,7 +1,7 @@
 """Ground filter: a coarse surface says where the ground can be, pillars decide to the centimetre.
 
-The published filter (paper 1, Table 3; `published_ground`, method pillars) works by pillars of 0.2 m
-and the height above the lowest point of each. That fails where a pillar has no ground return (under
+The published filter (paper 1, Table 3; `published_ground`, method pillars) takes heights above the
+lowest point of each pillar of 0.2 m. That fails where a pillar has no ground return (under
 vehicles, canopy, bridges, behind walls), where multipath lies below the road, and where the points
 are too far apart for 0.2 m.
 
