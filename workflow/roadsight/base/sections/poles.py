@@ -284,10 +284,10 @@ class Triangulation(Section):
     @model_validator(mode="after")
     def _worth_a_link(self) -> Triangulation:
         both = self.depth_weight + self.spread_weight
-        if self.method == "sweep" and both >= 1.0:
+        if both >= 1.0:
             raise ValueError(
-                f"depth_weight and spread_weight sum to {both:g}, but must to less than 1: a ray"
-                " alone costs nothing then, and sweep finds no pole"
+                f"depth_weight and spread_weight sum to {both:g}: make it less than 1, or a ray"
+                " without crossing costs nothing and sweep finds no pole"
             )
         return self
 
