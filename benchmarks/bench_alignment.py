@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bench_measure import Size, measured, row
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import wrap_deg
+from roadsight.poles.alignment import published
 from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.pose import (
     FOCAL,
@@ -31,15 +32,6 @@ from roadsight.poles.alignment.pose import (
     YAW,
     Spread,
     pose_of,
-)
-from roadsight.poles.alignment.published import (
-    Axes,
-    Edges,
-    by_row,
-    nelder_mead,
-    pose_in,
-    start_of,
-    whole_pixels,
 )
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.search import search
@@ -103,29 +95,34 @@ def _ours(tasks: Sequence[Task]) -> tuple[list[NDArray[np.float64]], int]:
     return [found[0].unknowns for found in fits], sum(accepted)
 
 
-def _axes(bed: RoadBed) -> list[Axes]:
+def _axes(bed: RoadBed) -> list[published.Axes]:
     """Lines from each image to the next, on the road."""
     places = np.column_stack([bed.track, bed.z_road])
     ways = ways_ahead(places)
     return [
-        Axes.along(place, way) for place, way in zip(places, ways, strict=True) if way is not None
+        published.Axes.along(place, way)
+        for place, way in zip(places, ways, strict=True)
+        if way is not None
     ]
 
 
-def _theirs(tasks: Sequence[Task], axes: Sequence[Axes]) -> list[float]:
+def _theirs(tasks: Sequence[Task], axes: Sequence[published.Axes]) -> list[float]:
     """Heading of each image by Nelder-Mead, from the mount as a registered camera."""
     found = []
     for number, (task, own) in enumerate(zip(tasks, axes, strict=False)):
         points, left, seen = task.map_edges.xyz_m, task.map_edges.left, task.image_edges
-        parts = np.split(whole_pixels(seen.uv_px), seen.groups[1:-1])
-        edges = Edges(
+        parts = np.split(published.whole_pixels(seen.uv_px), seen.groups[1:-1])
+        edges = published.Edges(
             (own.feet(points[:left]), own.feet(points[left:])),
-            (by_row(np.concatenate(parts[0::2])), by_row(np.concatenate(parts[1::2]))),
+            (
+                published.by_row(np.concatenate(parts[0::2])),
+                published.by_row(np.concatenate(parts[1::2])),
+            ),
             (task.start.width_px, task.start.height_px),
         )
-        start, focal_px = start_of(task.prior_mean)
-        aligned = nelder_mead(edges, start, focal_px, number)
-        found.append(pose_in(own, aligned.parameters)["heading_deg"])
+        start, focal_px = published.start_of(task.prior_mean)
+        parameters, _ = published.nelder_mead(edges, start, focal_px, number)
+        found.append(published.pose_in(own, parameters)["heading_deg"])
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.evidence.compare_components import PoleSettings
-from tests.options.registry import Finished, run_of
+from tests.options.registry import Finished, Run, run_of
 from tests.properties.poles_job import BASELINE, HALF_M, LENS, aside, place
 from tests.unit.io.test_road_files import with_measures
 
@@ -307,21 +308,6 @@ def class_scheme(sites: Finished, level: str) -> None:
     assert (len(classes) == 1) == (level in ("none", "unclassified"))
 
 
-@run_of("sample.tunnel", "True", "False")
-def tunnel(sites: Finished, level: str) -> None:
-    _highway(sites, f"tunnel-{level}", "--tunnel", level)
-
-
-@run_of("sample.scanned_from", "vehicle", "air")
-def scanned_from(sites: Finished, level: str) -> None:
-    _highway(sites, f"from-{level}", "--scanned-from", level)
-
-
-@run_of("sample.overhead", "True", "False")
-def overhead(sites: Finished, level: str) -> None:
-    _highway(sites, f"overhead-{level}", "--overhead", level)
-
-
 def _highway(sites: Finished, name: str, *options: str) -> None:
     """Cloud and edges of a generated highway."""
     job = sites.street
@@ -331,16 +317,6 @@ def _highway(sites: Finished, name: str, *options: str) -> None:
     cloud = laspy.read(job.path(f"{name}.laz"))
     assert 40_000 < len(cloud.points) < 90_000
     assert len(gpd.read_file(job.path(f"{name}.geojson"))) >= 2
-
-
-@run_of("sample.flush_verges", "True", "False")
-def flush_verges(sites: Finished, level: str) -> None:
-    _rural(sites, f"flush-{level}", "--flush-verges", level)
-
-
-@run_of("sample.pole_returns", "True", "False")
-def pole_returns(sites: Finished, level: str) -> None:
-    _rural(sites, f"returns-{level}", "--pole-returns", level)
 
 
 @run_of("sample.car_parks", "True", "False")
@@ -373,3 +349,19 @@ def _rural(sites: Finished, name: str, *options: str) -> pd.DataFrame:
     table = pd.read_csv(job.path(f"{name}-log.csv"))
     assert len(table) >= 10
     return table
+
+
+def _with_option(make: Callable[..., object], option: str) -> Run:
+    """Run that generates a scene at a level of one option."""
+
+    def run(sites: Finished, level: str) -> None:
+        make(sites, f"{option}-{level}", f"--{option.replace('_', '-')}", level)
+
+    return run
+
+
+for _option in ("tunnel", "overhead"):
+    run_of(f"sample.{_option}", "True", "False")(_with_option(_highway, _option))
+for _option in ("flush_verges", "pole_returns"):
+    run_of(f"sample.{_option}", "True", "False")(_with_option(_rural, _option))
+run_of("sample.scanned_from", "vehicle", "air")(_with_option(_highway, "scanned_from"))

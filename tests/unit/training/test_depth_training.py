@@ -306,6 +306,13 @@ class TestTraining:
         assert all(digest(a) == digest(b) for a, b in zip(parts, again, strict=True))
         assert digest(split_pairs(scenes, 4)[0]) != digest(parts[0])
 
+    def test_too_few_pairs_to_test_by_are_refused(self):
+        """Else the error on no pairs would be recorded as 0."""
+        from roadsight.training.published_unet import split_pairs
+
+        with pytest.raises(InputError, match="3 pairs"):
+            split_pairs([random_pairs(1, maps=3)], 3)
+
     def test_the_command_trains_and_tests_the_published_network(self, tmp_path):
         from roadsight.training import train_depth_network
 

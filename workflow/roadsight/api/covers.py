@@ -45,7 +45,7 @@ def cover(
     seconds : limit by the clock; None = until it is proven.
     gap : leave so near to the bound, as a share of the cost.
     seed : of the search. With the same seed and no limit by the clock, the cover is the same.
-    solver : "own", or "highs" for HiGHS on the whole integer program.
+    solver : "own", or "highs" for HiGHS on the whole integer program, with a gap of 1e-5 or more.
 
     Returns
     -------

@@ -104,7 +104,7 @@ class Drive(DriveFiles):
         validated(AlignmentLimits, limit, "options")
 
     def _check_published(self) -> None:
-        """Refuse a published alignment without what it starts from, or with a lens besides."""
+        """Refuse a published alignment without a registered camera, or with a known lens."""
         wrong = "the published alignment starts from a registered camera of each image size"
         if self.baseline is None:
             hint = "make it with `roadsight register`"

@@ -33,7 +33,7 @@ def ground(points: Points, settings: GroundFilter | None = None) -> Bools:
     """Which points are ground.
 
     A coarse surface says where the ground can be, pillars decide (``docs/scene/ground.md``), or the
-    published rule alone (``GroundFilter(method="pillars")``, paper 1, section 2.2).
+    published rule alone (``GroundFilter(method="pillars")``, paper 1, Table 3).
 
     Parameters
     ----------

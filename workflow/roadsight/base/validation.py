@@ -84,7 +84,7 @@ def _message(
     hint = renamed(field, first["input"])
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
         hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
-    # A number or a word: the words are told too.
+    # The field takes a number or a word: the words are listed too.
     words = [
         part["ctx"]["expected"]
         for part in error.errors()

@@ -166,13 +166,11 @@ def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
 
 def _check_solver(settings: Settings, plans: Mapping[str, Plan]) -> None:
     """Refuse plans that HiGHS cannot state as one integer program."""
-    cover = settings.cover
-    asked = {"solver": cover.solver, "verify": cover.verify}
-    for name, plan in plans.items():
-        for setting, value in asked.items():
-            if value == "highs" and plan.availability is not None:
+    for setting in ("solver", "verify"):
+        for name, plan in plans.items():
+            if getattr(settings.cover, setting) == "highs" and plan.availability is not None:
                 raise InputError(
-                    f"{value} cannot state the availability of plan {name!r} in one program",
+                    f"highs cannot state the availability of plan {name!r} in one program",
                     where=f"cover.{setting}",
                     hint=f"leave cover.{setting} out, or the plan's availability",
                 )

@@ -8,20 +8,6 @@ from __future__ import annotations
 
 from statistics import fmean
 
-
-def _site(
-    points: int,
-    spacing_m: float,
-    length_m: float,
-    lane_m: float,
-    lanes: int,
-    radius_m: float | None,
-) -> dict[str, float | None]:
-    values = (points, spacing_m, length_m, lane_m, lanes, radius_m)
-    names = ("points", "spacing_m", "length_m", "lane_width_m", "lanes", "radius_m")
-    return dict(zip(names, values, strict=True))
-
-
 SITE_FACTS = (
     ("points", "points", ""),
     ("spacing_m", "average spacing of points", "m"),
@@ -32,9 +18,12 @@ SITE_FACTS = (
 )
 """Keys, names and units of what the placement study says of each site (its Table 2)."""
 SITES: dict[str, dict[str, float | None]] = {
-    "Site 1": _site(1_405_000, 0.1, 243.0, 3.5, 2, 120.0),
-    "Site 2": _site(3_724_184, 0.05, 252.0, 3.75, 4, 1670.0),
-    "Site 3": _site(3_361_904, 0.05, 269.0, 3.75, 4, None),
+    name: {key: value for (key, _, _), value in zip(SITE_FACTS, values, strict=True)}
+    for name, values in {
+        "Site 1": (1_405_000, 0.1, 243.0, 3.5, 2, 120.0),
+        "Site 2": (3_724_184, 0.05, 252.0, 3.75, 4, 1670.0),
+        "Site 3": (3_361_904, 0.05, 269.0, 3.75, 4, None),
+    }.items()
 }
 """The same; of the crossing of Site 3 the major road."""
 PAVEMENT = {

@@ -1,4 +1,4 @@
-"""What a placement site is like, as the first study's Table 2 states it of its sites."""
+"""Facts of a placement site, those of the first study's Table 2."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def site_facts(
     lane_width_m: float,
     reach_m: float = REACH_M,
 ) -> SiteFacts:
-    """Table 2 of a site, as far as its geometry tells (paper 1, section 3.1).
+    """Table 2 of a site, computed from its geometry (paper 1, section 3.1).
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def site_facts(
 def radius_of(xy_m: Floats) -> float:
     """Radius of the circle through points (n, 2) by least squares (Kasa 1976); infinite: straight.
 
-    A road that turns both ways is of no one radius; the circle is that of its whole course.
+    A road that turns both ways has no one radius; the circle is that of its whole course.
     """
     if len(xy_m) < 3:
         return float("inf")

@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from roadsight.base.errors import InputError
 from roadsight.io.records.depth_pairs import DepthPairs
 
 FILTERS = 16
@@ -97,10 +98,18 @@ def split_pairs(
     """Pairs to train on, to validate by and to test by, drawn at random from all scenes.
 
     As in the paper, pairs of one scene are in all three parts; pairs of other scenes are harder.
+
+    Raises
+    ------
+    InputError : there are so few pairs that a part has none.
     """
     where = [(scene, pair) for scene, pairs in enumerate(dataset) for pair in range(len(pairs))]
     order = np.random.default_rng([seed, 0]).permutation(len(where))
     ends = np.rint(np.cumsum(shares) * len(where)).astype(int)
+    if not np.diff([0, *ends]).all():
+        raise InputError(
+            "are too few to train on, to validate by and to test by", found=f"{len(where)} pairs"
+        )
     parts: list[list[DepthPairs]] = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         chosen: dict[int, list[int]] = {}

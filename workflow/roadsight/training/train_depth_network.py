@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -113,7 +114,11 @@ def train_depth_network(given: Training) -> None:
             log.info("step %d, loss %.4f", step + 1, np.mean(losses[-_LOG_EVERY:]))
 
     wall, cpu = time.perf_counter(), time.process_time()
-    network = train(parts[0], schedule, lambda: _untrained(given), watch)
+    builds = {
+        "light": partial(DepthUnet, given.widths),
+        "published": partial(PublishedUnet, given.filters),
+    }
+    network = train(parts[0], schedule, builds[given.shape], watch)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     path = given.out
     facts = {"step_deg": f"{STEP_DEG:g}", "multiple_cells": str(MULTIPLE_CELLS)}
@@ -133,10 +138,6 @@ def train_depth_network(given: Training) -> None:
         }
         log.info("test: %s", entry["test"])
     update_record(path.with_name("training_record.json"), path.name, entry)
-
-
-def _untrained(given: Training) -> nn.Module:
-    return PublishedUnet(given.filters) if given.shape == "published" else DepthUnet(given.widths)
 
 
 def _entry(given: Training, dataset: dict[str, DepthPairs], losses: list[float]) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class Coverage(Section):
         default=0.0,
         ge=0,
         le=1000,
-        description="spacings are halved as long as they are no less than this, m; 0: each round",
+        description="spacings are not halved below this, m; 0: no limit",
     )
     felled: int = Field(
         default=1, ge=0, le=20, description="objects tried without, those that hide most; 0: none"

@@ -179,7 +179,7 @@ class PoleMasks(Section):
 
     mask_rule: Literal["axes", "published"] = Field(
         default="axes",
-        description="poles in a mask: by axes and the numbers below, or as published",
+        description="poles in a mask: by their axes and the numbers below, or as published",
     )
 
     min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
@@ -193,7 +193,7 @@ class SideViews(Section):
 
     side_views: Literal["found", "given", "stitched"] = Field(
         default="found",
-        description="yaw of side views: found or none, or given; stitched: as published",
+        description="yaw of side views: of the drive, or given; stitched: as published",
     )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
@@ -239,10 +239,10 @@ class Triangulation(Section):
 
     method: Literal["packing", "listing", "sweep"] = Field(
         default="packing",
-        description="rays grouped by evidence, all groups listed, or as published: sweep",
+        description="packing: by evidence; listing: all groups; sweep: as published",
     )
     max_distance_m: Metres = Field(
-        default=40.0, description="farther sightings are not used (but by sweep), m"
+        default=40.0, description="farther sightings are not used, m; not for sweep"
     )
     sigma_position_m: Metres = Field(
         default=0.7, description="error of a camera's position, one axis, m"
@@ -272,10 +272,10 @@ class Triangulation(Section):
     cluster_m: Metres = Field(default=1.0, description="sweep: crossings this near are one pole, m")
     depth_weight: Positive = Field(
         default=0.02,
-        description="sweep: weight of depths in its energy; a ray alone costs 1 less both weights",
+        description="sweep: weight a of depths; a ray without crossing costs 1 - a - b",
     )
     spread_weight: Positive = Field(
-        default=0.2, description="sweep: weight of the spread of a ray's crossings"
+        default=0.2, description="sweep: weight b of the spread of a ray's crossings"
     )
     clearance_m: float = Field(
         default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"
@@ -284,10 +284,10 @@ class Triangulation(Section):
     @model_validator(mode="after")
     def _worth_a_link(self) -> Triangulation:
         both = self.depth_weight + self.spread_weight
-        if self.method == "sweep" and both >= 1.0:
+        if both >= 1.0:
             raise ValueError(
-                f"depth_weight and spread_weight sum to {both:g}, but must to less than 1: a ray"
-                " alone costs nothing then, and sweep finds no pole"
+                f"depth_weight and spread_weight sum to {both:g}: make it less than 1, or a ray"
+                " without crossing costs nothing and sweep finds no pole"
             )
         return self
 

@@ -13,7 +13,7 @@ class HighwayScene(Section):
     """A highway with exactly known surfaces."""
 
     scanned_from: Literal["vehicle", "air"] = Field(
-        default="vehicle", description="highway: where its scanner is"
+        default="vehicle", description="highway: scanned from a vehicle or from the air"
     )
     points: Count = Field(default=3_500_000, description="highway: points to scan")
     radius_m: float = Field(

@@ -39,7 +39,7 @@ class GroundFilter(Section):
 
     method: Literal["robust", "pillars"] = Field(
         default="robust",
-        description="pillars: published rule, by the lowest point; takes width, threshold alone",
+        description="pillars: as published, by their width and the height threshold alone",
     )
     pillar_width_m: Metres = Field(
         default=0.2,
@@ -76,7 +76,7 @@ class PavementMethod(Section):
 
     method: Literal["auto", "surface", "published"] = Field(
         default="auto",
-        description="published: FPFH, k-means, see below; auto: surface by scans, seeds",
+        description="published: FPFH, k-means; auto: surface with scans or seeds",
     )
     seeds: list[tuple[float, float]] = Field(
         default=[],
@@ -92,11 +92,11 @@ class GroundClasses(Section):
 
     thinning: Thinning = Field(
         default="columns",
-        description="voxels: one ground point per cube, as published; no distance is raised",
+        description="voxels: a ground point per cube, as published; distances stay as set",
     )
     voxel_size_m: Metres = Field(
         default=0.1,
-        description="width of a column or cube, m; at least the spacing of the points",
+        description="width of a column or cube, m; never below the spacing of the points",
     )
     neighbours: int = Field(
         default=10, ge=3, le=100, description="K1, neighbours of a point for its FPFH"

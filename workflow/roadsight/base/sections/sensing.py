@@ -75,7 +75,7 @@ class Obstacles(Section):
 
     method: Literal["sight_lines", "cells"] = Field(
         default="sight_lines",
-        description="cells: as published, the points of a depth map's cells before their target",
+        description="sight_lines: rays to targets; cells: points in depth maps, as published",
     )
 
 
@@ -152,7 +152,7 @@ class CellFilling(Section):
         default=1.5,
         gt=0,
         le=100,
-        description="hybrid: neighbours farther from the beam than this many cells fill none",
+        description="hybrid: farthest neighbours that fill a cell, in cells from the beam",
     )
 
 

@@ -70,9 +70,8 @@ def cases_of(module: ModuleType) -> list[HardCase]:
 def measure(case: HardCase, seed: int) -> CaseResult:
     """Run a case both ways; its randomness depends on the seed and its name alone.
 
-    An error that is no number is infinite: an answer that is none is as wrong as can be, whoever
-    gives it. Where the truth says that there is no answer, the case itself counts a withheld one as
-    no error.
+    An error that is NaN is infinite, for either way. Where the truth says that there is no answer,
+    the case itself counts a withheld one as no error.
 
     Raises
     ------

@@ -98,11 +98,7 @@ def _dearer(matrix: Numbers, costs: Numbers, chosen: Numbers, best: float) -> fl
     return float(costs[chosen].sum() / best - 1) if whole else math.inf
 
 
-@hard_case(
-    "solve_cover",
-    bound=1e-6,
-    unit="share of the cost",
-)
+@hard_case("solve_cover", bound=1e-6, unit="share of the cost")
 def costs_of_a_billionth(rng: np.random.Generator) -> Errors:
     """Costs in another unit, below the tolerances of a solver, make every cover optimal."""
     naive = ours = 0.0
@@ -115,11 +111,7 @@ def costs_of_a_billionth(rng: np.random.Generator) -> Errors:
     return naive, ours
 
 
-@hard_case(
-    "solve_cover",
-    bound=1e-6,
-    unit="share of the cost of a road",
-)
+@hard_case("solve_cover", bound=1e-6, unit="share of the cost of a road")
 def costs_over_20_orders(rng: np.random.Generator) -> Errors:
     """Of five roads whose sensors cost from 1e-10 to 1e10, the cheap ones are not solved."""
     naive = ours = 0.0
@@ -168,7 +160,7 @@ def order_of_equal_sensors(rng: np.random.Generator) -> Errors:
 
 @hard_case("check_coverage", bound=0.5, unit="views miscounted")
 def targets_seen_by_many(rng: np.random.Generator) -> Errors:
-    """Views counted in 8 bits turn negative when more than 127 sensors see a target."""
+    """Views counted in 8 bits are lost when more than 127 sensors see a target."""
     matrix = sparse.csr_matrix(np.ones((300, 4), np.int8))
     naive = np.ones(300, bool) @ matrix
     ours = times_seen(matrix, np.arange(300))

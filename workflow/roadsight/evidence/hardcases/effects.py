@@ -65,7 +65,7 @@ def level_ground_has_no_axis(rng: np.random.Generator) -> Errors:
 
 @hard_case("tilt_mounts", bound=5.0, unit="deg")
 def mounts_at_the_end_of_the_terrain(rng: np.random.Generator) -> Errors:
-    """Beside the end of the terrain a slope from unknown heights is no number: taken as level."""
+    """Beside the end of the terrain a slope from unknown heights is NaN; ours takes it as level."""
     # The road is looked at four metres before the mount, to the west.
     places = np.column_stack([np.full(10, 5.0), np.linspace(5, 45, 10)])
     before = places - np.array([4.0, 0.0])

@@ -89,11 +89,11 @@ def heights_beside_unknown_cells(rng: np.random.Generator) -> Errors:
     filled = np.where(np.isnan(values), -9999.0, values)
     naive = ndimage.map_coordinates(filled, [20 - y - 0.5, x - 0.5], order=1, mode="nearest")
     ours, true = raster.sample(x, y), 3.0 + 0.01 * (x - 0.5)
-    known = ndimage.map_coordinates(
+    unknown = ndimage.map_coordinates(
         np.isnan(values).astype(float), [20 - y - 0.5, x - 0.5], order=1, mode="nearest"
     )
-    # Where a cell around is unknown, no height may be given; elsewhere one must be.
-    given = (known == 0) | np.isfinite(ours)
+    # Where all cells around are known, a height must be given.
+    given = (unknown == 0) | np.isfinite(ours)
     return np.abs(naive - true)[given].max(), np.abs(ours - true)[given].max()
 
 

@@ -242,7 +242,7 @@ def targets_behind_a_camera(rng: np.random.Generator) -> Errors:
 
 @hard_case("render_scans", bound=0.001, unit="m")
 def scans_in_steps_of_a_centimetre(rng: np.random.Generator) -> Errors:
-    """A LAS file that laspy writes as it comes has steps of 1 cm."""
+    """With its defaults, laspy writes LAS files in steps of 1 cm."""
     xyz = np.round(rng.uniform(0, 80, (4000, 3)), 3)
     frame = Frame((500_000.0, 5_412_000.0, 100.0))
     native = frame.to_native(xyz)

@@ -95,7 +95,7 @@ def rays_a_fifth_of_a_degree_apart(rng: np.random.Generator) -> Errors:
         poles, _, _ = triangulate(rays, _FINE)
         kept = poles[poles["kept"].to_numpy(bool)][["x", "y"]].to_numpy()
         ours += [float(np.hypot(*(one - pole))) for one in kept]
-    # Their depths tell the place to 1.5 m, so that a withheld pole is a lost one.
+    # Their depths give the position to 1.5 m, so that a withheld pole is a lost one.
     return np.median(naive), np.median(ours) if len(ours) >= 50 else np.inf
 
 

@@ -114,7 +114,7 @@ def nothing_found_and_nothing_there(rng: np.random.Generator) -> Errors:
 
 @hard_case("validate_poles", bound=0.5, unit="figures that JSON cannot hold")
 def errors_of_nothing(rng: np.random.Generator) -> Errors:
-    """Mean and spread of no match at all, or of one, are no numbers and no valid JSON."""
+    """Mean and spread of no match at all, or of one, are NaN, which JSON cannot hold."""
     naive = ours = 0
     for values in (np.empty(0), np.array([0.7])):
         naive += _refused([float(np.mean(values)), float(np.std(values, ddof=1))])

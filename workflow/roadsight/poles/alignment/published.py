@@ -91,20 +91,6 @@ class Edges:
     size_px: tuple[int, int]
 
 
-@dataclass(frozen=True)
-class Aligned:
-    """Result of one image.
-
-    Attributes
-    ----------
-    parameters : (6,) feet and degrees. cost : at them. searched : whether Nelder-Mead was needed.
-    """
-
-    parameters: Floats
-    cost: float
-    searched: bool
-
-
 def whole_pixels(uv_px: ArrayLike) -> Floats:
     """Whole pixels (n, 2) in which places lie, cut towards zero as in the authors' code.
 
@@ -280,8 +266,10 @@ def nelder_mead(
     focal_px: float,
     number: int,
     bounds: tuple[float, float] = PUBLISHED_BOUNDS,
-) -> Aligned:
-    """Parameters of one image from those of the baseline.
+) -> tuple[Floats, float]:
+    """Parameters (6,) of one image, feet and degrees, and their cost.
+
+    Those of the baseline, where its edges fit; else by Nelder-Mead.
 
     Parameters
     ----------
@@ -292,7 +280,7 @@ def nelder_mead(
     cost = alignment_cost(edges, start, focal_px, first)
     x_px, y_px = apart = extents_apart(edges, start, focal_px)
     if cost < _GOOD_COST and x_px < _GOOD_PX and y_px < _GOOD_PX:
-        return Aligned(start, cost, searched=False)
+        return start, cost
     window = window_of(apart)
     limits = bounds_of(start, number, cost, apart, bounds)
     result = minimize(
@@ -302,4 +290,4 @@ def nelder_mead(
         bounds=limits,
         options={"maxiter": _ITERATIONS},
     )
-    return Aligned(result.x, float(result.fun), searched=True)
+    return result.x, float(result.fun)

@@ -1,4 +1,4 @@
-"""Images that repeat the one before although the vehicle moved on: a recorder that hung."""
+"""Images that repeat the one before although the vehicle moved on: the recorder hung."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roadsight.base.doubts import Doubt, listed
 from roadsight.poles.images.image_matches import consecutive
 
 _SAME_BITS = 40
-"""Bits (of 576) by which hashes of one view differ at most. Copies that were stored anew as JPEG of
+"""Bits (of 576) by which hashes of one view differ at most. Copies stored again as JPEG of
 quality 50, or with another line of text in the picture, differ by up to 21 bits. Images 1.1 m apart
 differ by 62 and more on four real streets, images 8 m apart on a generated road by 115 and more
 (`docs/decisions/104-opencv-contrib.md`)."""
@@ -37,9 +37,10 @@ def repeated_images(frames: pd.DataFrame, picture: Callable[[str], Bytes]) -> li
     found = []
     for one, other in consecutive(frames):
         moved_m = math.hypot(other["x"] - one["x"], other["y"] - one["y"])
-        bits = hasher.compare(hashed(one["path"]), hashed(other["path"]))
-        if moved_m > _MOVED_M and bits <= _SAME_BITS:
-            found.append(str(other["image"]))
+        if moved_m > _MOVED_M:
+            bits = hasher.compare(hashed(one["path"]), hashed(other["path"]))
+            if bits <= _SAME_BITS:
+                found.append(str(other["image"]))
     return found
 
 

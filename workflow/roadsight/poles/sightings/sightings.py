@@ -107,7 +107,11 @@ def measure_view(
     if not found:
         return table
     if settings.distance == "published":
-        network, ground, hidden = _published_distances(camera, found, mask, depth, front_fit)
+        # The network alone, at the foot, without errors (section 3.3.1).
+        network, ground = np.full((2, 2, len(found)), np.nan)
+        hidden = np.zeros(len(found), bool)
+        if depth is not None and front_fit is not None:
+            network[0] = foot_distances(camera, found, depth, front_fit, mask.shape)
     else:
         network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
     table["foot_visible"] = ~hidden
@@ -214,20 +218,6 @@ def _own_distances(
     return network, ground, hidden
 
 
-def _published_distances(
-    camera: ViewCamera,
-    found: Sequence[Instance],
-    mask: Bytes,
-    depth: NDArray[np.uint16] | None,
-    fit: DepthFit | None,
-) -> tuple[Floats, Floats, Bools]:
-    """As `_own_distances`, by the network at the foot alone, without errors (section 3.3.1)."""
-    network, ground = np.full((2, len(found)), np.nan), np.full((2, len(found)), np.nan)
-    if depth is not None and fit is not None:
-        network[0] = foot_distances(camera, found, depth, fit, mask.shape)
-    return network, ground, np.zeros(len(found), bool)
-
-
 def _rise(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
     """Rise per metre of plan (n,) of the rays of pixels (n, 2)."""
     rays = camera.rays(uv_px)
@@ -261,13 +251,13 @@ def _column_distances(camera: ViewCamera, columns: PoleColumns, match: Ints) -> 
 
 
 def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray], fused: bool) -> pd.DataFrame:
-    """Distances by each way, and that which counts: of all together, or the network's alone."""
+    """Distances by each method, and the one that is used: fused, or the network's alone."""
     columns: dict[str, Any] = {}
     for name, (distance, sigma) in pairs.items():
         columns[f"depth_{name}_m"], columns[f"sigma_depth_{name}_m"] = distance, sigma
     if not fused:
-        told = {"depth_m": pairs["network"][0], "sigma_depth_m": np.nan, "depth_from": "network"}
-        return table.assign(**columns, **told)
+        columns |= {"depth_m": pairs["network"][0], "sigma_depth_m": np.nan}
+        return table.assign(**columns, depth_from="network")
     together = [fuse_depths(*pair) for pair in zip(*_stack(*pairs.values()), strict=True)]
     names = np.array(list(pairs))
     sources = ["+".join(names[one[2]]) for one in together]

@@ -2,7 +2,8 @@
 
 Each ray prefers partners whose crossing agrees with its depth, few of them spread in depth, and
 pays for having none (Krylov et al. 2018, eq. 4). The first code visits the links at random. The
-pole study (section 3.4) visits each once, in order, and merges clusters along the drive.
+pole study (section 3.4) leaves nothing to chance and merges clusters along the drive; its authors'
+code visits each link once, in order.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Energy:
     @property
     def lonely(self) -> float:
         """Energy of a ray without partner: 1 - alpha - beta."""
-        return max(1.0 - self.depth_weight - self.spread_weight, 0.0)
+        return 1.0 - self.depth_weight - self.spread_weight
 
 
 FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)
@@ -112,7 +113,7 @@ def sweep_links(
     ----------
     depth : of each ray, NaN where unknown.
     rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
-        first, then one of its links; None visits each link once, in order, as the pole study does.
+        first, then one of its links; None visits each link once, in order, as the study's code.
     """
     depth = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth)
     state = _State(links, depth, energy)

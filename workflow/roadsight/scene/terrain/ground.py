@@ -1,7 +1,7 @@
 """Ground filter: a coarse surface says where the ground can be, pillars decide to the centimetre.
 
-The published filter (`published_ground`, method pillars) takes the lowest point of each 0.2 m
-pillar as its ground (paper 1, section 2.2). That fails where a pillar has no ground return (under
+The published filter (paper 1, Table 3; `published_ground`, method pillars) takes heights above the
+lowest point of each pillar of 0.2 m. That fails where a pillar has no ground return (under
 vehicles, canopy, bridges, behind walls), where multipath lies below the road, and where the points
 are too far apart for 0.2 m.
 
@@ -124,9 +124,10 @@ def ground_mask(
 
 
 def published_ground(x: Floats, y: Floats, z: Floats, settings: GroundFilter) -> Bools:
-    """Which points are ground by the published rule (paper 1, section 2.2 and Table 3).
+    """Which points are ground by the published rule (paper 1, Table 3).
 
-    The lowest point of a pillar is its ground; points more than the threshold above it are not.
+    Points more than the threshold above the lowest point of their pillar are not. The paper gives
+    the width and the threshold; that heights count from the lowest point is a guess.
 
     Parameters
     ----------

@@ -13,7 +13,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Lidar
@@ -104,7 +103,6 @@ class ObstacleFiles(AllowedFiles):
 def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     """Write layers ``obstacles`` (by cubic metre) and ``uncovered`` (targets and reasons)."""
     frame = Frame.from_dict(read_json(given.frame))
-    solution = read_json(given.solution)
     targets = read_table(given.targets)
     sensors = load_sensors(given.sensors)
     lidar = SurfelLidar(read_surfels(given.surfels), engine=given.engine)
@@ -113,9 +111,10 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
         reach_m = lidar.cast(origin_m, directions)
         return np.where(np.isinf(reach_m), 0.0, reach_m)
 
-    pairs = _hidden_pairs(given, solution, targets, sensors)
+    chosen = read_json(given.solution)["sensors"]
+    pairs = _hidden_pairs(given, targets, chosen, sensors)
     if given.method == "cells":
-        lines = _by_cells(given, solution, pairs, sensors)
+        lines = _by_cells(given, pairs, chosen, sensors)
     else:
         lines = pairs.join(blocked_sight_lines(pairs, given.target_height_m, cast))
     obstacles = group_obstacles(lines)
@@ -154,17 +153,17 @@ def _name_obstacles(obstacles: pd.DataFrame, objects_at: ObjectsAt) -> None:
 
 def _hidden_pairs(
     given: ObstacleFiles,
-    solution: dict[str, Any],
     targets: pd.DataFrame,
+    chosen: list[dict[str, Any]],
     sensors: dict[str, AnySensor],
 ) -> pd.DataFrame:
     """Chosen sensors and the targets in their range and view that they do not see."""
-    chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
-    ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
-    pairs = pairs_in_range(chosen, targets, ranges)
-    pairs = pairs[_in_view(pairs, solution["sensors"], sensors)].reset_index(drop=True)
+    places = pd.DataFrame(chosen, columns=["candidate", "sensor", "x", "y", "z"])
+    ranges = np.array([sensors[name].range_m for name in places["sensor"]])
+    pairs = pairs_in_range(places, targets, ranges)
+    pairs = pairs[_in_view(pairs, chosen, sensors)].reset_index(drop=True)
     seen = read_detections(given.detections)
-    seen = seen[seen["candidate"].isin(chosen["candidate"])]
+    seen = seen[seen["candidate"].isin(places["candidate"])]
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
     return pairs[hidden].reset_index(drop=True)
@@ -172,8 +171,8 @@ def _hidden_pairs(
 
 def _by_cells(
     given: ObstacleFiles,
-    solution: dict[str, Any],
     pairs: pd.DataFrame,
+    chosen: list[dict[str, Any]],
     sensors: dict[str, AnySensor],
 ) -> pd.DataFrame:
     """Obstacles of pairs as published: points of a depth map's cells before their target.
@@ -182,28 +181,31 @@ def _by_cells(
     ------
     InputError : a chosen sensor has no cells or no depth map, or there is no cloud.
     """
-    places = {place["candidate"]: place for place in solution["sensors"]}
-    for place in places.values():
-        if not isinstance(sensors[place["sensor"]], Sensor) or "@" in place["candidate"]:
+    name_of = {place["candidate"]: place["sensor"] for place in chosen}
+    for candidate, name in name_of.items():
+        if not isinstance(sensors[name], Sensor) or "@" in candidate:
             raise InputError(
                 "knows the cells of spinning LiDARs as mounted only",
                 where="obstacles.method: cells",
-                found=place["sensor"],
+                found=name,
                 hint="set obstacles.method: sight_lines",
             )
     if given.cloud is None:
         raise InputError("needs the points of the scene", where="obstacles.method: cells, --cloud")
     poses = {name: pose for path in given.candidates for name, pose in read_poses(path).items()}
+    scene_m = np.empty((0, 3), np.float32)
+    if name_of:
+        at_m = np.array([poses[candidate][:2] for candidate in name_of])
+        reach_m = max(sensors[name].range_m for name in name_of.values())
+        around = (*(at_m.min(axis=0) - reach_m), *(at_m.max(axis=0) + reach_m))
+        scene_m = StandingCloud(given.cloud, given.traffic).xyz_within(around)
     tilts, curved = read_tilts(given.tilts), given.curvature == "simulate"
     size_m = (given.target_radius_m, given.target_height_m)
-    scene_m = _scene_within(given, [poses[name] for name in places], sensors, places)
-    lines, met = [], set()
-    for path in given.depth:
-        maps = DepthMaps(path)
-        here = [n for n, place in places.items() if place["sensor"] == maps.info.sensor]
-        sensor = load_sensor(given.sensors, maps.info.sensor).thinned(given.azimuth_stride)
-        for candidate, depth_m in maps.only(here):
-            met.add(candidate)
+    lines = {}
+    for maps in map(DepthMaps, given.depth):
+        name = maps.info.sensor
+        sensor = load_sensor(given.sensors, name).thinned(given.azimuth_stride)
+        for candidate, depth_m in maps.only([one for one in name_of if name_of[one] == name]):
             *position_m, yaw_deg = poses[candidate]
             own = pairs[pairs["candidate"] == candidate]
             seen = position_m, tilts.get(candidate), curved
@@ -211,35 +213,18 @@ def _by_cells(
             feet_m = as_seen_from(own[["x", "y", "z"]].to_numpy(np.float64), *seen)
             view = cells, depth_m, sensor, position_m, float(yaw_deg)
             found = [obstacles_of_target(*view, foot, size_m, maps.info.step_m) for foot in feet_m]
-            lines.append(cell_lines(own, scene_m, found))
+            lines[candidate] = cell_lines(own, scene_m, found)
             hidden = sum(len(points) > 0 for points, _ in found)
             log.info("%s: points hide %d of %d targets", candidate, hidden, len(own))
-    if len(met) < len(places):
+    if len(lines) < len(name_of):
         raise InputError(
             "depth maps of chosen sensors are missing",
             where=", ".join(map(str, given.depth)) or "--depth",
-            found=f"{len(met)} of {len(places)}",
+            found=f"{len(lines)} of {len(name_of)}",
             hint="run the workflow again",
         )
-    return pd.concat([*lines, cell_lines(pairs.iloc[:0], scene_m, [])], ignore_index=True)
-
-
-def _scene_within(
-    given: ObstacleFiles,
-    poses: Sequence[Floats],
-    sensors: dict[str, AnySensor],
-    places: dict[str, dict[str, Any]],
-) -> Floats32:
-    """Standing points (n, 3) within the range of any of the chosen sensors."""
-    assert given.cloud is not None
-    at = np.array(poses).reshape(-1, 4)
-    reach_m = max((sensors[place["sensor"]].range_m for place in places.values()), default=0.0)
-    cloud = StandingCloud(given.cloud, given.traffic)
-    if not len(at):
-        return np.empty((0, 3), np.float32)
-    west, south = at[:, :2].min(axis=0) - reach_m
-    east, north = at[:, :2].max(axis=0) + reach_m
-    return cloud.xyz_within((west, south, east, north))
+    nothing = cell_lines(pairs.iloc[:0], scene_m, [])
+    return pd.concat([*lines.values(), nothing], ignore_index=True)
 
 
 def _in_view(

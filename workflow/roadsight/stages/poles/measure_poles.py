@@ -177,7 +177,7 @@ def measure_poles(
 
 
 def _together(tables: list[pd.DataFrame], settings: Sightings) -> pd.DataFrame:
-    """Sightings of all views; views that are stitched have nothing twice."""
+    """Sightings of all views, merged unless the views are stitched, which show nothing twice."""
     sightings = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
     if not tables or settings.side_views == "stitched":
         return sightings

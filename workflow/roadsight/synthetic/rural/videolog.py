@@ -135,7 +135,7 @@ class Shot:
         return f"{_place_name(self.route, self.sequence)}{ending}.jpg"
 
 
-def image_names(length_m: float, every: int = 1) -> list[str]:
+def image_names(length_m: float, every: int) -> list[str]:
     """Names of the front images on a road of that length, every ``every``-th of each route."""
     return [
         f"{_place_name(route, number + 1)}.jpg"

@@ -60,25 +60,23 @@ class PublishedScene:
         about |= {"cx_px": (size[0] - 1) / 2, "cy_px": (size[1] - 1) / 2}
         start, focal_px = start_of(drive.mount.mean)
         about |= {"focal_px": focal_px, "landmarks": 0, "edge_points": 0, "one_sided": False}
+        about |= {"residual_px": float("nan"), "accepted": False}
         if way is None:
             heading = {"heading_deg": place.start.heading_deg, "pitch_deg": 0.0, "roll_deg": 0.0}
             position = dict(zip("xyz", _origin(place).tolist(), strict=True))
-            return about | position | heading | _rejected("no next image to look to")
+            return about | position | heading | {"reason": "no next image gives the direction"}
         axes = Axes.along(_origin(place), way)
         edges = self._edges(place, axes, pose_in(axes, start))
         about["edge_points"] = sum(map(len, edges.points_ft))
         about["one_sided"] = any(not len(pixels) for pixels in edges.pixels)
-        for nothing, reason in (
-            (not sum(map(len, edges.pixels)), "no edges in the image"),
-            (not about["edge_points"], "no road edges ahead"),
-        ):
-            if nothing:
-                return about | pose_in(axes, start) | _rejected(reason)
+        if not sum(map(len, edges.pixels)):
+            return about | pose_in(axes, start) | {"reason": "no edges in the image"}
+        if not about["edge_points"]:
+            return about | pose_in(axes, start) | {"reason": "no road edges ahead"}
         bounds = (limits.bound_m, limits.bound_deg)
-        found = nelder_mead(edges, start, focal_px, number, bounds)
-        residual_px = scale_of(size[1]) * np.sqrt(found.cost / 2.0)
-        told = {"residual_px": float(residual_px), "accepted": True, "reason": ""}
-        return about | pose_in(axes, found.parameters) | told
+        parameters, cost = nelder_mead(edges, start, focal_px, number, bounds)
+        about["residual_px"] = float(scale_of(size[1]) * np.sqrt(cost / 2.0))
+        return about | pose_in(axes, parameters) | {"accepted": True, "reason": ""}
 
     def _edges(self, place: Place, axes: Axes, baseline: dict[str, float]) -> Edges:
         """Edges of one image, without the points that the terrain hides from the baseline."""
@@ -118,7 +116,3 @@ def ways_ahead(xyz_m: Floats) -> list[Floats | None]:
 
 def _origin(place: Place) -> Floats:
     return np.array([place.start.x_m, place.start.y_m, place.start.z_road_m])
-
-
-def _rejected(reason: str) -> dict[str, Any]:
-    return {"residual_px": float("nan"), "accepted": False, "reason": reason}
