@@ -69,6 +69,7 @@ def run_program(
     gap: float = 0.0,
     step: float = 0.0,
     enough: float = math.inf,
+    tolerance: float = _FEASIBLE,
 ) -> Programmed:
     """Solve a program with one thread and a fixed seed.
 
@@ -78,11 +79,13 @@ def run_program(
     Parameters
     ----------
     gap : share of the objective that is near enough. step : objectives are multiples of it, and a
-        gap below one is no gap. enough : bound at which to stop.
+        gap below one is no gap. enough : bound at which to stop. tolerance : of constraints and of
+        whole numbers; looser ones can only lower the bound.
     """
     highs = quiet_highs(
-        mip_feasibility_tolerance=_FEASIBLE,
-        primal_feasibility_tolerance=_FEASIBLE,
+        random_seed=0,
+        mip_feasibility_tolerance=tolerance,
+        primal_feasibility_tolerance=tolerance,
         mip_rel_gap=gap,
         mip_abs_gap=step * (1 - 1e-6) if step else 0.0,
     )
