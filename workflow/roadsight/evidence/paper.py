@@ -56,7 +56,7 @@ _FOOT_M = 0.3048
 _MILE_KM = 1.609344
 
 _FEWER_CANDIDATES = {
-    "candidates": {"spacing_m": 40, "height_step_m": 3},
+    "candidates": {"spacing_m": 20, "height_step_m": 6},
     "coverage": {"rounds": 1},
 }
 _FEWEST_CANDIDATES = {
@@ -388,9 +388,7 @@ def _heights(measured: Measured) -> list[dict[str, Any]]:
     return found
 
 
-def fewer_poles_share(
-    shown: Mapping[str, int], native: Mapping[str, int], images: int
-) -> float:
+def fewer_poles_share(shown: Mapping[str, int], native: Mapping[str, int], images: int) -> float:
     """Share of images that show fewer poles than at their own height."""
     fewer = sum(shown.get(image, 0) < count for image, count in native.items())
     return fewer / images if images else math.nan

@@ -359,10 +359,13 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
                 where=f"site {given.site}, plan {given.plan}",
                 hint="lower the plan's availability, or densify the candidates",
             )
+        few = len(cover.uncoverable)
         raise InputError(
             f"no set of sensors covers every target {given.cover.at_least} times",
             where=f"site {given.site}, plan {given.plan}",
-            found=f"{len(cover.uncoverable)} targets seen by too few candidates",
+            found=f"{few} targets seen by too few candidates"
+            if few
+            else "targets that only sensors at one and the same position see: one of them fits there",
             hint="lower cover.at_least or densify the candidates",
         )
     if not len(cover.chosen):
