@@ -365,7 +365,7 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
             where=f"site {given.site}, plan {given.plan}",
             found=f"{few} targets seen by too few candidates"
             if few
-            else "targets that only sensors at one and the same position see: one of them fits there",
+            else "targets that only sensors at one position see, of which one fits there",
             hint="lower cover.at_least or densify the candidates",
         )
     if not len(cover.chosen):
