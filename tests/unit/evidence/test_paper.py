@@ -34,8 +34,8 @@ def placement_run(plans: tuple[str, ...], sensors: int) -> dict:
 
 def pole_run(fewer: int) -> dict:
     errors = [
-        {"geodesic_m": 1.0, "across_m": -0.5, "pole": "a", "scenarios": []},
-        {"geodesic_m": 3.0, "across_m": None, "pole": "b", "scenarios": ["extraneous features"]},
+        {"geodesic_m": 1.0, "across_m": -0.5, "truth": "0", "scenarios": []},
+        {"geodesic_m": 3.0, "across_m": None, "truth": "1", "scenarios": []},
     ]
     scores = {"precision": 0.5, "recall": 0.5, "f1": 0.5}
     scenarios = {name.split()[0]: {"count": 1, "mean": 2.0} for name in published.SCENARIOS}
@@ -58,6 +58,7 @@ def pole_run(fewer: int) -> dict:
         "cameras_m": [[0.0, 0.0], [100.0, 10.0]],
         "shown": {"a": 2 - fewer, "b": 1},
         "poles_m": [[50.0, 3.0]],
+        "near_aside": ["0"],
     }
 
 
@@ -101,6 +102,8 @@ def test_each_table_and_figure_has_rows(measured: dict) -> None:
     assert (first["published"], first["as_published"], first["default"]) == (31, 2, 2)
     at_3 = row(rows, "Table 2", "3 m", "f1")
     assert (at_3["published"], at_3["default"]) == (0.35, 0.5)
+    assert row(rows, "Table 3", "straight road", "mean error")["default"] == 2.0
+    assert row(rows, "Table 3", "extraneous features", "mean error")["default"] == 1.0
     assert row(rows, "Image height", "256 px", "images with fewer poles")["default"] == 25.0
     assert row(rows, "Image height", "native", "images with fewer poles")["default"] == 0.0
     assert row(rows, "Image height", "native", "time of a mile")["default"] == pytest.approx(1.0)
