@@ -153,3 +153,22 @@ def test_highs_solves_and_checks_as_we_do(cover, capsys):
     assert [p["covered"] for p in curves[0]] == [p["covered"] for p in curves[1]]
     assert cover("--verify", "0") == 2
     assert "--verify: is no time" in capsys.readouterr().err
+
+
+def test_a_check_that_is_stopped_at_once_has_no_bound_yet(cover):
+    rng = np.random.default_rng(0)
+    sees = rng.random((120, 400)) < 0.04
+    sees[rng.integers(0, 120, 400), np.arange(400)] = True
+    found = cover("--verify", "1e-9", "--time-limit", "1", sees=sees.astype(float))
+    assert found["verified"]["bound"] <= found["bound"]
+
+
+def test_highs_is_not_asked_of_numbers_too_far_apart(cover, capsys):
+    costs = [1.0, 1.0, 1.0, 1.0, 1e10]
+    assert cover("--solver", "highs", costs=costs) == 2
+    message = capsys.readouterr().err
+    assert "too far apart for HiGHS" in message
+    assert "1e+10 times" in message
+    found = cover("--verify", "10", costs=costs)
+    assert (found["objective"], found["status"]) == (2, "optimal")
+    assert found["verified"]["result"].startswith("not checked")

@@ -65,18 +65,22 @@ class Verified:
 
     Parameters
     ----------
-    confirmed : its bound is as good. bound : its bound, as `Deployment.shown`.
-    seconds : limit of work that it had.
+    confirmed : its bound is as good. bound : its bound, as `Deployment.shown`; None where numbers
+    are too far apart to ask for one. seconds : limit of work that it had.
     """
 
     confirmed: bool
-    bound: float
+    bound: float | None
     seconds: float
 
-    def record(self) -> dict[str, str | float]:
+    def record(self) -> dict[str, str | float | None]:
         """What is written of it."""
-        late = f"not confirmed in {self.seconds:g} s: HiGHS bound {self.bound:g}"
-        result = "confirmed" if self.confirmed else late
+        if self.bound is None:
+            result = "not checked: costs or weights are too far apart for HiGHS"
+        elif self.confirmed:
+            result = "confirmed"
+        else:
+            result = f"not confirmed in {self.seconds:g} s: HiGHS bound {self.bound:g}"
         return {"by": version(), "result": result, "bound": self.bound}
 
 
@@ -91,7 +95,13 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
     InputError : its numbers are too far apart for the solver's tolerances.
     """
     start = time.process_time()
-    _check_range(deployment)
+    if (apart := _range(deployment)) > _FARTHEST:
+        raise InputError(
+            "has costs or weights that are too far apart for HiGHS to prove anything",
+            where="the plan",
+            found=f"the greatest is {apart:.1g} times the least",
+            allowed=f"{_FARTHEST:g} times, or cover.solver: own",
+        )
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     scaled, unit, _ = deployment.normalised()
     nothing = np.empty(0, np.int64)
@@ -134,16 +144,6 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
     )  # fmt: skip
 
 
-def _check_range(deployment: Deployment) -> None:
-    if (apart := _range(deployment)) > _FARTHEST:
-        raise InputError(
-            "has costs or weights that are too far apart for HiGHS to prove anything",
-            where="the plan",
-            found=f"the greatest is {apart:.1g} times the least",
-            allowed=f"{_FARTHEST:g} times, or cover.solver: own without verify",
-        )
-
-
 def _range(deployment: Deployment) -> float:
     """Greatest by least positive cost, charge or weight, whichever is farthest apart."""
     parts = [deployment.cost]
@@ -181,9 +181,9 @@ def verify(deployment: Deployment, cover: Cover, limit: Deadline) -> Verified:
     ------
     ContradictionError : the choices do not cost what is said, or are not allowed; HiGHS proves more
         than they cost, or finds others below the bound.
-    InputError : the deployment's numbers are too far apart for the solver's tolerances.
     """
-    _check_range(deployment)
+    if _range(deployment) > _FARTHEST:
+        return Verified(False, None, limit.left_s())
     scaled, unit, _ = deployment.normalised()
     seconds = limit.left_s()
     program, constant = whole_program(scaled)
