@@ -171,7 +171,8 @@ def _near_aside(truth: Path) -> list[str]:
     drives = pyogrio.read_dataframe(truth, layer="driveways")
     poles = pyogrio.read_dataframe(truth, layer="poles")
     near = shapely.distance(shapely.union_all(drives.geometry.array), poles.geometry.array)
-    return poles.loc[near <= ScenarioSettings().aside_m, "id"].astype(str).tolist()
+    found: list[str] = poles.loc[near <= ScenarioSettings().aside_m, "id"].astype(str).tolist()
+    return found
 
 
 main = Command(measure_paper)
