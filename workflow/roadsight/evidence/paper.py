@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import fmean
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -334,43 +333,27 @@ def _thresholds(measured: Measured) -> list[dict[str, Any]]:
 
 def _scenarios(measured: Measured) -> list[dict[str, Any]]:
     """Pole study, Table 3 and Fig. 12: mean error by scenario, and its distribution."""
-    ways = [measured[f"route-{way}"] for way in ("published", "default")]
+    ways = [measured[f"route-{way}"]["validation"] for way in ("published", "default")]
     found = []
     for name in published.SCENARIOS:
         theirs = published.scenario_mean_m(name)
-        ours = [_of_scenario(way["validation"], name, way["near_aside"]) for way in ways]
+        ours = [way["scenarios"][name.split(maxsplit=1)[0]] for way in ways]
         about = "poles", "Table 3", "Route", name
-        counts = (one["count"] for one in ours)
+        counts = (None if one is None else one["count"] for one in ours)
         found.append(_row(*about, "poles", "", None if theirs is None else theirs[0], *counts))
-        means = (one["mean"] for one in ours)
+        means = (None if one is None else one["mean"] for one in ours)
         found.append(_row(*about, "mean error", "m", None if theirs is None else theirs[1], *means))
     for key, quantity, theirs_m in (
         ("geodesic_m", "three quarters of the poles within", published.WITHIN_75_M),
         ("across_m", "the same across the road", published.ACROSS_75_M),
     ):
-        values = (_quartile(way["validation"]["errors"], key) for way in ways)
+        values = (_quartile(way["errors"], key) for way in ways)
         found.append(_row("poles", "Fig. 12", "Route", key, quantity, "m", theirs_m, *values))
-    means = (way["validation"]["mean_m"] for way in ways)
+    means = (way["mean_m"] for way in ways)
     found.append(
         _row("poles", "Fig. 12", "Route", "geodesic_m", "mean error", "m", published.MEAN_M, *means)
     )
     return found
-
-
-def _of_scenario(
-    validation: Mapping[str, Any], name: str, near_aside: Iterable[str]
-) -> Mapping[str, Any]:
-    """Count and mean error of the poles of a scenario.
-
-    Where driveways and car parks lie, `validate_poles` learns from pavement in the cloud, which
-    gravel is not. The generated truth knows: ``near_aside`` are its poles near them.
-    """
-    if name != published.SCENARIOS[3]:
-        found: Mapping[str, Any] = validation["scenarios"][name.split(maxsplit=1)[0]]
-        return found
-    near = set(near_aside)
-    errors = [one["geodesic_m"] for one in validation["errors"] if one["truth"] in near]
-    return {"count": len(errors), "mean": fmean(errors) if errors else None}
 
 
 def _quartile(errors: Iterable[Mapping[str, Any]], key: str) -> float | None:

@@ -88,8 +88,8 @@ def known_poles(wildcards):
 
 
 def known_roadside(wildcards):
-    """Known trees and guardrails of a generated site that looks for them."""
-    known = is_rendered(wildcards) and objects_of_cloud(wildcards)
+    """Known trees, guardrails and driveways of a generated site."""
+    known = is_rendered(wildcards)
     return [f"results/{wildcards.site}/sample/truth.gpkg"] if known else []
 
 

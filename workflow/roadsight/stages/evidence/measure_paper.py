@@ -17,7 +17,6 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import pandas as pd
-import pyogrio
 import shapely
 
 from roadsight.config.load import load_config, load_sites, merged
@@ -30,7 +29,6 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.depth_maps import NOT_CAST_M, DepthMaps
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
-from roadsight.poles.risk.scenarios import ScenarioSettings
 from roadsight.stages.command import Command
 
 log = logging.getLogger("measure_paper")
@@ -158,21 +156,11 @@ def _poles(folder: Path) -> dict[str, Any]:
     shards = sorted((folder / "poles/pole_axes").glob("*.parquet"))
     shown = pd.concat([read_table(path, ["image"]) for path in shards] or [pd.DataFrame()])
     content["shown"] = {} if shown.empty else shown["image"].value_counts().sort_index().to_dict()
-    content["near_aside"] = _near_aside(folder / "sample/truth.gpkg")
     poles = folder / "poles/poles.parquet"
     if poles.is_file():
         table = read_table(poles, ["x", "y", "kept"])
         content["poles_m"] = table.loc[table["kept"], ["x", "y"]].to_numpy().round(2).tolist()
     return content
-
-
-def _near_aside(truth: Path) -> list[str]:
-    """True poles near a driveway or car park, as near as scenarios count."""
-    drives = pyogrio.read_dataframe(truth, layer="driveways")
-    poles = pyogrio.read_dataframe(truth, layer="poles")
-    near = shapely.distance(shapely.union_all(drives.geometry.array), poles.geometry.array)
-    found: list[str] = poles.loc[near <= ScenarioSettings().aside_m, "id"].astype(str).tolist()
-    return found
 
 
 main = Command(measure_paper)
