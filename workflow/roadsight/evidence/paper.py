@@ -348,10 +348,10 @@ def _scenarios(measured: Measured) -> list[dict[str, Any]]:
         ("across_m", "the same across the road", published.ACROSS_75_M),
     ):
         values = (_quartile(way["errors"], key) for way in ways)
-        found.append(_row("poles", "Fig. 12", "Route", key, quantity, "m", theirs_m, *values))
+        found.append(_row("poles", "Fig. 12", "Route", quantity, quantity, "m", theirs_m, *values))
     means = (way["mean_m"] for way in ways)
     found.append(
-        _row("poles", "Fig. 12", "Route", "geodesic_m", "mean error", "m", published.MEAN_M, *means)
+        _row("poles", "Fig. 12", "Route", "mean error", "mean error", "m", published.MEAN_M, *means)
     )
     return found
 
