@@ -33,8 +33,8 @@ _ABOUT = {
     "Table 3": "Mean error by scenario on the generated route. Extraneous features are driveways"
     " and car parks within 25 m.",
     "Fig. 12": "Errors of the poles that match a known one, from the smallest to the largest. Blue:"
-    " as published. Black: by default. The map (Fig. 10) shows the drive, dashed, and the poles that"
-    " the default located.",
+    " as published. Black: by default. The map (Fig. 10) shows the drive, dashed, and the poles"
+    " that the default located.",
     "Table 4 poles": "The study's minutes a mile times its cores, GPUs not counted, and our"
     " processor time.",
     "Image height": "Images that show fewer poles than at their own height, which is 416 px here.",
