@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadsight.base.sections.sample import image_names
 from roadsight.geometry.cameras import attitude_deg, cam_from_world, wrap_deg
 from roadsight.geometry.north import SiteNorth
 from roadsight.synthetic.rural.rural_road import build_rural
@@ -14,7 +15,6 @@ from roadsight.synthetic.rural.videolog import (
     GpsNoise,
     attitude_of,
     drifting,
-    image_names,
     mounted,
     random_drives,
     shots,

@@ -1,9 +1,9 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
+from roadsight.base.sections.sample import image_names
 from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import corrections_of
 from roadsight.io.images.videolog_files import check_corrections, dealt_images
-from roadsight.synthetic.rural.videolog import image_names
 
 
 def aligns(wildcards):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
-from roadsight.base.sections.sample import RuralScene
+from roadsight.base.sections.sample import STEPS_M, RuralScene, place_name, places_along
 from roadsight.geometry.cameras import (
     Intrinsics,
     attitude_deg,
@@ -26,8 +26,6 @@ from roadsight.synthetic.rural.rural_road import RuralSite
 
 _USUAL = RuralScene()
 """What a rural road is, unless asked for another."""
-_STEPS_M = {"sr1427e": 8.0, "sr1427w": 16.0}
-"""Metres between two images of each route: ahead and back."""
 _STITCH_OVERLAP_DEG = 1.5
 """Side views overlap the front view by so much."""
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -132,24 +130,7 @@ class Shot:
     def name(self, view: str = "front") -> str:
         """File name of the view's image."""
         ending = "" if view == "front" else f"_{view}"
-        return f"{_place_name(self.route, self.sequence)}{ending}.jpg"
-
-
-def image_names(length_m: float, every: int) -> list[str]:
-    """Names of the front images on a road of that length, every ``every``-th of each route."""
-    return [
-        f"{_place_name(route, number + 1)}.jpg"
-        for route, step_m in _STEPS_M.items()
-        for number in range(0, _places(length_m, step_m), every)
-    ]
-
-
-def _place_name(route: str, sequence: int) -> str:
-    return f"{route}_{sequence:04d}"
-
-
-def _places(length_m: float, step_m: float) -> int:
-    return int(length_m / step_m + 1e-9) + 1
+        return f"{place_name(self.route, self.sequence)}{ending}.jpg"
 
 
 def random_drives(
@@ -183,7 +164,7 @@ def random_drives(
     views = {"front": 0.0}
     if side_views:
         views |= {"left": -turn, "right": turn}
-    (ahead, ahead_m), (back, back_m) = _STEPS_M.items()
+    (ahead, ahead_m), (back, back_m) = STEPS_M.items()
     return (
         Drive(ahead, True, ahead_m, narrow, _random_mount(2.2, rng), views, gps=gps),
         Drive(back, False, back_m, wide, _random_mount(1.6, rng), {"front": 0.0}, gps=gps),
@@ -208,7 +189,7 @@ def _random_mount(height_m: float, rng: np.random.Generator) -> Mount:
 def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     """Every place of a drive in order; the same arguments give the same places."""
     rng = np.random.default_rng([seed, 22, int(drive.forward)])
-    count = _places(site.length_m, drive.step_m)
+    count = places_along(site.length_m, drive.step_m)
     travelled = drive.step_m * np.arange(count, dtype=np.float64)
     station = travelled if drive.forward else site.length_m - travelled
     way_m = site.ground.section.drive_m * (-1.0 if drive.forward else 1.0)
