@@ -212,7 +212,7 @@ def triangulation_method(sites: Finished, level: str) -> None:
     xy = table[table["kept"].astype(bool)][["x", "y"]].to_numpy()
     true = sites.lane.poles - sites.lane.xyz[:, :2].min(axis=0)
     gaps = np.hypot(*(xy[:, None] - true).transpose(2, 0, 1)).min(axis=1)
-    assert len(xy) >= 2 and np.median(gaps) < (3.0 if level == "sweep" else 1.0), gaps
+    assert len(xy) >= 2 and np.median(gaps) < 1.0, gaps
 
 
 @run_of("validation.components", "skip", "compare")

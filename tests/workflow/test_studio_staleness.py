@@ -73,3 +73,18 @@ def test_decisions_on_poles_make_the_poles_and_what_follows_stale(copy_of_road, 
     assert not found["kept"] and found["reason"] == "rejected by a person"
     save_decisions(project, "tiny_road", [])
     assert "triangulate_poles" in copy_of_road.stale_rules()
+
+
+def test_corrections_of_no_image_of_a_sample_are_refused(copy_of_road, monkeypatch):
+    monkeypatch.chdir(copy_of_road.folder)
+    project = Project(copy_of_road.folder)
+    drive = SiteDrive(project.site(copy_of_road.site))
+    pose = PoseBody.model_validate(drive.expected(drive.place(3)))
+    save_correction(project, drive, 3, pose)
+    table = copy_of_road.folder / "config/sites/tiny_road/corrections.csv"
+    table.write_text(table.read_text().replace("sr1427e_", "sr9999e_"))
+    result = copy_of_road.snakemake("-n")
+    assert result.returncode != 0
+    assert (
+        "it names sr9999e_0004.jpg, the videolog sr1427e_0001.jpg" in result.stdout + result.stderr
+    )

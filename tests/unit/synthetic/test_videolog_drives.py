@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.base.sections.sample import image_names
 from roadsight.geometry.cameras import attitude_deg, cam_from_world, wrap_deg
 from roadsight.geometry.north import SiteNorth
+from roadsight.synthetic.rural.image_names import image_names
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import (
     GpsNoise,

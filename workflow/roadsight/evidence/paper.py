@@ -128,14 +128,14 @@ def runs(size: Size) -> dict[str, Run]:
             POLE_SITE, True, changes, (), ("poles/road_edges.parquet",)
         )
     for height in (0, *HEIGHTS_PX):
-        changes = few | {"networks": {"image_height_px": height or _NATIVE_PX}}
+        changes = few | {"networks": {"image_height_px": height or NATIVE_PX}}
         found[f"route-height_{height}"] = Run(
             POLE_SITE, False, changes, (), ("poles/pole_axes/0.parquet",)
         )
     return found
 
 
-_NATIVE_PX = 416
+NATIVE_PX = 416
 """Height of the generated images."""
 
 

@@ -1,9 +1,13 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
-from roadsight.base.sections.sample import image_names
 from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import corrections_of
-from roadsight.io.images.videolog_files import check_corrections, dealt_images
+from roadsight.io.images.videolog_files import (
+    check_corrections,
+    dealt_images,
+    videolog_images,
+)
+from roadsight.synthetic.rural.image_names import image_names
 
 
 def aligns(wildcards):
@@ -171,13 +175,15 @@ def images_by_shard(site, path):
     """Names of each shard's images; refuse corrections of which none is about an image."""
     resolved = SITES[site]
     shards, every = resolved.settings.shards, resolved.settings.videolog.every
-    if resolved.site.sample:
-        dealt = deal(image_names(resolved.site.sample.length_m, every), shards)
+    if sample := resolved.site.sample:
+        known = image_names(sample.length_m, 1)
+        dealt = deal(image_names(sample.length_m, every), shards)
     else:
         images = resolved.beside(resolved.site.poles.images)
         table = resolved.beside(resolved.site.poles.videolog) or images
-        check_corrections(table, images, path)
+        known = videolog_images(table, images)
         dealt = dealt_images(table, images, shards, every)
+    check_corrections(known, path)
     return [
         {name for name, own in dealt.items() if own == shard} for shard in range(shards)
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 from roadsight.base.matches import tell_named
@@ -70,17 +71,29 @@ def files_by_shard(
     return [sorted(files) for files in found]
 
 
-def check_corrections(table: str | os.PathLike[str], images: str, corrections: str) -> None:
-    """Say how many corrections are about an image of the videolog.
+def videolog_images(table: str | os.PathLike[str], images: str) -> set[str]:
+    """Names of all images of a videolog.
 
     Raises
     ------
-    InputError : none is, or one of the tables cannot be read.
+    InputError : the table cannot be read.
     """
-    known = set(read_videolog_table(table, ImageSource(images))["image"])
-    named = posed_images(corrections)
+    return set(read_videolog_table(table, ImageSource(images))["image"])
+
+
+def check_corrections(known: Collection[str], corrections: str) -> None:
+    """Say how many corrections are about an image of the videolog.
+
+    Parameters
+    ----------
+    known : names of its images.
+
+    Raises
+    ------
+    InputError : none is, or the table of corrections cannot be read.
+    """
     what = "corrections are about an image of the videolog"
-    tell_named(log, what, named, known, corrections)
+    tell_named(log, what, posed_images(corrections), set(known), corrections)
 
 
 def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:

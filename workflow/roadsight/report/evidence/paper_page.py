@@ -37,7 +37,8 @@ _ABOUT = {
     " that the default located.",
     "Table 4 poles": "The study's minutes a mile times its cores, GPUs not counted, and our"
     " processor time.",
-    "Image height": "Images that show fewer poles than at their own height, which is 416 px here.",
+    "Image height": "Images that show fewer poles than at their own height, which is"
+    f" {paper.NATIVE_PX} px here.",
     "Voxel size": "The raster of the LiDAR cloud by the edge of a voxel. The study's cloud has 34"
     " million points, ours a million for each kilometre.",
 }

@@ -91,7 +91,7 @@ def solve_deployment(
         master = Master(builder.cuts, pool)
         tree = Tree(master, builder, gap).run(floor, deadline)
         proof, nodes, pool = tree.bound, tree.nodes, master.pool()
-    if builder.best is None:
+    if builder.best is None and math.isfinite(proof):
         if (allowed := any_allowed(deployment, deadline)) is None:
             return Deployed(_infeasible(start), pool)
         builder.offer(allowed)

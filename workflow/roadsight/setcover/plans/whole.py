@@ -50,9 +50,10 @@ from roadsight.setcover.plans.deployment import Deployment
 
 PUBLISHED_GAP = 1e-5
 """Integer gap of the placement paper (its section 3.2): smaller ones are not asked for."""
-_FARTHEST = 1e8
+_FARTHEST = 1e6
 """Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
-the greatest. Of 3,000 random plans it proved two wrongly, with weights 1e9 apart and more."""
+the greatest. Of 3,000 random plans it proved two wrongly (weights 1e9 apart and more) and called
+one impossible that is not (weights 8e7 apart)."""
 
 
 class ContradictionError(Exception):
@@ -95,15 +96,15 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
     InputError : its numbers are too far apart for the solver's tolerances.
     """
     start = time.process_time()
-    if (apart := _range(deployment)) > _FARTHEST:
+    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
+    scaled, unit, _ = deployment.normalised()
+    if (apart := _range(scaled)) > _FARTHEST:
         raise InputError(
             "has costs or weights that are too far apart for HiGHS to prove anything",
             where="the plan",
             found=f"the greatest is {apart:.1g} times the least",
             allowed=f"{_FARTHEST:g} times, or cover.solver: own",
         )
-    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
-    scaled, unit, _ = deployment.normalised()
     nothing = np.empty(0, np.int64)
     if deployment.out_of_reach:
         return _infeasible(start)
@@ -145,13 +146,17 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
 
 
 def _range(deployment: Deployment) -> float:
-    """Greatest by least positive cost, charge or weight, whichever is farthest apart."""
-    parts = [deployment.cost]
+    """Greatest by least positive cost, charge or weight, whichever is farthest apart.
+
+    Only numbers of choices that are not forbidden, and those that the program holds, count.
+    """
+    free = ~deployment.problem.forbidden
+    parts = [np.asarray(deployment.cost)[free]]
     if math.isfinite(deployment.budget):
-        parts.append(deployment.charge)
+        parts.append(np.asarray(deployment.charge)[free])
     if deployment.keep or deployment.floor or not deployment.complete:
-        parts.append(deployment.weights)
-    positive = (part[part > 0] for part in map(np.asarray, parts))
+        parts.append(np.asarray(deployment.weights)[deployment.problem.at_least > 0])
+    positive = (part[part > 0] for part in parts)
     return max((float(part.max() / part.min()) for part in positive if len(part)), default=1.0)
 
 
@@ -162,7 +167,7 @@ def any_allowed(deployment: Deployment, deadline: Deadline) -> Ints | None:
     is impossible is proven.
     """
     free = replace(deployment, cost=np.zeros(len(deployment.cost)), worth=0.0)
-    if _range(free) > _FARTHEST:
+    if deadline.passed() or _range(free) > _FARTHEST:
         return np.empty(0, np.int64)
     found = run_program(whole_program(free)[0], deadline)
     if found.x is None:
@@ -182,10 +187,10 @@ def verify(deployment: Deployment, cover: Cover, limit: Deadline) -> Verified:
     ContradictionError : the choices do not cost what is said, or are not allowed; HiGHS proves more
         than they cost, or finds others below the bound.
     """
-    if _range(deployment) > _FARTHEST:
-        return Verified(False, None, limit.left_s())
     scaled, unit, _ = deployment.normalised()
     seconds = limit.left_s()
+    if _range(scaled) > _FARTHEST:
+        return Verified(False, None, seconds)
     program, constant = whole_program(scaled)
     ours, value = cover.bound / unit, cover.objective / unit
     room = max(scaled.near(value), 1e-6 * scaled.step)

@@ -359,13 +359,13 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
                 where=f"site {given.site}, plan {given.plan}",
                 hint="lower the plan's availability, or densify the candidates",
             )
-        few = len(cover.uncoverable)
+        found = f"{len(cover.uncoverable)} targets seen by too few candidates"
+        if not len(cover.uncoverable):
+            found = "enough candidates for each target alone, but one position takes one sensor"
         raise InputError(
             f"no set of sensors covers every target {given.cover.at_least} times",
             where=f"site {given.site}, plan {given.plan}",
-            found=f"{few} targets seen by too few candidates"
-            if few
-            else "targets that only sensors at one position see, of which one fits there",
+            found=found,
             hint="lower cover.at_least or densify the candidates",
         )
     if not len(cover.chosen):

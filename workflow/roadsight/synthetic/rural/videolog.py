@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
-from roadsight.base.sections.sample import STEPS_M, RuralScene, place_name, places_along
+from roadsight.base.sections.sample import RuralScene
 from roadsight.geometry.cameras import (
     Intrinsics,
     attitude_deg,
@@ -22,6 +22,7 @@ from roadsight.geometry.cameras import (
     wrap_deg,
 )
 from roadsight.synthetic.rendering.images import Camera
+from roadsight.synthetic.rural.image_names import STEPS_M, place_name, places_along
 from roadsight.synthetic.rural.rural_road import RuralSite
 
 _USUAL = RuralScene()
