@@ -7,6 +7,7 @@ from scipy import sparse
 
 from roadsight.setcover import CoverProblem
 from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.kernels import count_of_rows, sums_of_rows
 from roadsight.setcover.plans.budget import budgeted
 from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.curve import coverage_curve
@@ -55,3 +56,16 @@ def test_a_relaxation_without_end_leaves_time_to_look_for_better(monkeypatch):
     found = solve_deployment(deployment, WorkLimit(0.01)).cover
     assert found.objective < builder.value
     assert found.bound == -400.0
+
+
+def test_counts_and_sums_of_rows_are_those_of_a_sparse_product():
+    rng = np.random.default_rng(5)
+    for rows, columns, taken in ((8, 12, 4), (40, 300, 0), (200, 900, 60)):
+        matrix = sparse.csr_matrix((rng.random((rows, columns)) < 0.2).astype(np.int8))
+        chosen = np.sort(rng.choice(rows, taken, replace=False)).astype(np.int64)
+        value = rng.random(columns)
+        slice_ = matrix[chosen]
+        count = count_of_rows(matrix.indptr, matrix.indices, chosen, columns)
+        np.testing.assert_array_equal(count, np.asarray(slice_.sum(axis=0, dtype=int)).ravel())
+        total = sums_of_rows(matrix.indptr, matrix.indices, chosen, value)
+        np.testing.assert_array_equal(total, slice_ @ value)

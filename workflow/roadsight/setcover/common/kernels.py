@@ -268,3 +268,23 @@ def reduced_costs(
         for p in range(start[i], start[i + 1]):
             reduced[i] -= dual[index[p]]
     return reduced
+
+
+@compiled()
+def count_of_rows(start: Ints32, index: Ints32, rows: Ints, columns: int) -> Ints:
+    """How many of some rows have an entry in each column."""
+    count = np.zeros(columns, np.int64)
+    for row in rows:
+        for p in range(start[row], start[row + 1]):
+            count[index[p]] += 1
+    return count
+
+
+@compiled()
+def sums_of_rows(start: Ints32, index: Ints32, rows: Ints, value: Floats) -> Floats:
+    """Sum over the columns of each of some rows of a value by column."""
+    total = np.zeros(len(rows))
+    for k in range(len(rows)):
+        for p in range(start[rows[k]], start[rows[k] + 1]):
+            total[k] += value[index[p]]
+    return total

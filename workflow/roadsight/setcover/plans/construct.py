@@ -10,6 +10,7 @@ import numpy as np
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.kernels import count_of_rows, sums_of_rows
 from roadsight.setcover.plans.cuts import Cuts
 
 _ENTRY_S = 2e-9
@@ -48,6 +49,7 @@ class Builder:
         by_choice = self.deployment.exclusive.T.tocsr()
         by_choice.sort_indices()
         self._sets = by_choice.indptr, by_choice.indices
+        self._matrix = cuts.by_choice.indptr, cuts.by_choice.indices
         self._must = np.flatnonzero(problem.mandatory)
         self._pull = np.ones(len(cuts.need))
 
@@ -71,7 +73,7 @@ class Builder:
         tidy = self._tidy(chosen)
         self.offer(tidy)
         if self._complete and self.best is None:
-            count = np.asarray(self.cuts.by_choice[tidy].sum(axis=0, dtype=np.int64)).ravel()
+            count = count_of_rows(*self._matrix, tidy, len(self.cuts.need))
             self._pull[count < self.cuts.need] *= _PULL
 
     def improve(self, steps: int, goal: float, deadline: Deadline) -> None:
@@ -145,15 +147,14 @@ class Builder:
         need, weight = self.cuts.need, self.cuts.weight
         while True:
             chosen = np.flatnonzero(inside)
-            sees = self.cuts.by_choice[chosen]
-            count = np.asarray(sees.sum(axis=0, dtype=np.int64)).ravel()
+            count = count_of_rows(*self._matrix, chosen, len(need))
             critical = (count == need) & (need > 0)
             covered = weight[count >= need].sum()
-            lost = sees @ np.where(critical, weight, 0.0)
+            lost = sums_of_rows(*self._matrix, chosen, np.where(critical, weight, 0.0))
             bad = lost > (1 - self.deployment.keep) * covered * (1 + 1e-9)
             if not bad.any():
                 return chosen
-            hit = critical & (np.asarray(sees[np.flatnonzero(bad)].sum(axis=0)).ravel() > 0)
+            hit = critical & (count_of_rows(*self._matrix, chosen[bad], len(need)) > 0)
             gain = (self.cuts.by_choice @ np.where(hit, weight, 0.0)) * liking
             choice = self._best_addition(inside, gain)
             if choice < 0:
@@ -177,9 +178,9 @@ class Builder:
         value = deployment.objective(chosen)
         kept = chosen
         while len(kept):
-            sees = self.cuts.by_choice[kept]
-            count = np.asarray(sees.sum(axis=0, dtype=np.int64)).ravel()
-            lost = sees @ np.where(count == self.cuts.need, self.cuts.weight, 0.0)
+            count = count_of_rows(*self._matrix, kept, len(self.cuts.need))
+            critical = np.where(count == self.cuts.need, self.cuts.weight, 0.0)
+            lost = sums_of_rows(*self._matrix, kept, critical)
             saved = np.asarray(deployment.cost)[kept] - deployment.worth * lost
             for k in np.argsort(-saved, kind="stable"):
                 if saved[k] < 0 or (self._complete and lost[k] > 1e-9 and not deployment.floor):

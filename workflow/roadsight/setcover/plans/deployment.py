@@ -13,6 +13,7 @@ from scipy import sparse
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.setcover.common.kernels import count_of_rows, sums_of_rows
 from roadsight.setcover.common.problem import (
     NEAR,
     CoverProblem,
@@ -205,14 +206,15 @@ class Deployment:
     def guaranteed(self, chosen: Ints) -> float:
         """V of sorted choices."""
         need, weights = self.problem.at_least, self.weights
-        sees = self.problem.matrix[chosen]
-        count = np.asarray(sees.sum(axis=0, dtype=np.int64)).ravel()
+        matrix = self.problem.matrix
+        rows = matrix.indptr, matrix.indices, chosen
+        count = count_of_rows(*rows, len(need))
         asked = need > 0
         covered = math.fsum(weights[(count >= need) & asked])
         if not self.keep or not len(chosen):
             return covered
         critical = np.where((count == need) & asked, weights, 0.0)
-        lost = (sees @ critical).max(initial=0.0)
+        lost = sums_of_rows(*rows, critical).max()
         return min(covered, max(covered - lost, 0.0) / self.keep)
 
     def objective(self, chosen: Ints) -> float:
@@ -237,8 +239,10 @@ class Deployment:
         return bool((self.exclusive @ mask > 1).any())
 
     def _unseen(self, chosen: Ints) -> bool:
-        count = np.asarray(self.problem.matrix[chosen].sum(axis=0, dtype=np.int64)).ravel()
-        return bool((count < self.problem.at_least).any())
+        need = self.problem.at_least
+        matrix = self.problem.matrix
+        count = count_of_rows(matrix.indptr, matrix.indices, chosen, len(need))
+        return bool((count < need).any())
 
 
 def _numbers(name: str, values: ArrayLike | None, length: int, default: Floats) -> Floats:
