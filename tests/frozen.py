@@ -23,7 +23,7 @@ def state(folder: Path) -> dict[str, str]:
     found = {name: one for name, one in digests(folder).items() if name.startswith(samples)}
     truth, bench = folder / "results/truth/truth.csv", folder / "results/bench/bench.json"
     if truth.is_file():
-        for row in csv.DictReader(truth.open()):
+        for row in csv.DictReader(truth.read_text().splitlines()):
             name = f"truth {row['area']} {row['dataset']} {row['metric']}"
             found[name] = " ".join(row[column] for column in TRUTH)
     if bench.is_file():
