@@ -154,6 +154,8 @@ def test_plans_are_the_best_of_all_subsets(check_one, count):
         (check_whole, 2566),  # HiGHS would call it impossible: weights are 8e7 apart
         (check_whole, 835),  # HiGHS would prove -2.6 where -2.7 is possible: refused
         (check_curve, 441),  # a budget of 0 beside charges from 2e-5 to 1e9
+        (check_curve, 1150),  # the mandatory choice costs the budget, 6e10 steps, but for rounding
+        (check_alternatives, 523),  # as much as the best plan, in as many steps
     ],
 )
 def test_costs_that_are_far_apart_are_proven(check_one, seed):

@@ -107,7 +107,8 @@ class Deployment:
             return math.inf
         positive = self.charge[self.charge > 0]
         step = objective_step(positive) if len(positive) else 0.0
-        used = math.floor(self.budget / step + 1e-9) * step if step else self.budget
+        most = self.budget * (1 + _ROUNDING)
+        used = math.floor(most / step + 1e-9) * step if step else self.budget
         return used * (1 + _ROUNDING)
 
     @cached_property
