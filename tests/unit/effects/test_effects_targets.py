@@ -11,7 +11,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
 from roadsight.config.schema import Settings
 from roadsight.effects.circumstances import SETTINGS, Circumstances
-from roadsight.effects.quantities import QUANTITIES
+from roadsight.effects.quantities import PLACEMENT
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.refusals import refuse_other_targets
 from roadsight.placement.sensors.sensors import Sensor
@@ -38,7 +38,7 @@ TINY = {"kind": "box", "length_m": 0.1, "width_m": 0.05, "height_m": 0.08}
 def value(effect, targets, **sections):
     settings = Settings.model_validate({"targets": targets} | sections)
     known = settings.model_dump(mode="json", include=SETTINGS)
-    return QUANTITIES[effect](Circumstances({}, {}, known, {"S": SENSOR}, {})).value
+    return PLACEMENT[effect](Circumstances({}, {}, known, {"S": SENSOR}, {})).value
 
 
 def useful_m(width_m, height_m):

@@ -12,8 +12,8 @@ from roadsight.base.errors import InputError, nearest
 from roadsight.base.section import Section
 from roadsight.base.texts import read_yaml
 from roadsight.base.validation import validated
-from roadsight.effects.quantities import QUANTITIES as PLACEMENT
-from roadsight.effects.quantities_poles import QUANTITIES as POLES
+from roadsight.effects.quantities import PLACEMENT
+from roadsight.effects.quantities_poles import POLES
 
 Mode = Literal["auto", "simulate", "skip"]
 Job = Literal["placement", "poles"]

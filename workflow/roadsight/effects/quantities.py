@@ -200,7 +200,7 @@ def _of_worst_sensor(site: Circumstances, value: Callable[[AnySensor], float]) -
     return Quantity(values[worst], f"for {worst}")
 
 
-QUANTITIES: dict[str, Callable[[Circumstances], Quantity]] = {
+PLACEMENT: dict[str, Callable[[Circumstances], Quantity]] = {
     "hole_filling": hole_filling,
     "overhead_cover": overhead_cover,
     "mount_tilt": mount_tilt,

@@ -105,7 +105,7 @@ def sight_curvature(site: Circumstances) -> Quantity:
     return Quantity(float(rise_m(farthest_m)), f"at {farthest_m:.0f} m")
 
 
-QUANTITIES: dict[str, Callable[[Circumstances], Quantity]] = {
+POLES: dict[str, Callable[[Circumstances], Quantity]] = {
     "terrain_occlusion": terrain_occlusion,
     "side_views": side_views,
     "lens_distortion": lens_distortion,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
-from roadsight.placement.sensors.aimed import AimedSensor, Camera, Radar, Rosette
+from roadsight.placement.sensors.sensors import AimedSensor, Camera, Radar, Rosette
 
 _MOST_PIXELS = 200_000
 """Pixels of a camera's scan: what a report can draw."""

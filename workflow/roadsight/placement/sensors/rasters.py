@@ -9,7 +9,7 @@ import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
-from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sensors.sensors import Sensor
 
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
 """Numbers of the projections, by which kernels know them; see `Raster`."""

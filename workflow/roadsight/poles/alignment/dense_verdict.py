@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadsight.poles.alignment.dense import YAW, DenseFit, DenseTask
+from roadsight.poles.alignment.dense import DenseFit, DenseTask
+from roadsight.poles.alignment.pose import YAW
 from roadsight.poles.alignment.verdict import Limits
 
 TOO_LITTLE = "too little of the cloud is in view"

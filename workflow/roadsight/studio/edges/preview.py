@@ -24,7 +24,7 @@ from roadsight.studio.edges.shapes import (
     polygon,
 )
 
-LAYERS = ("edges", "zones", "mounts", "add", "remove")
+LIFTED = ("edges", "zones", "mounts", "add", "remove")
 
 
 def preview(
@@ -68,7 +68,7 @@ def preview(
         "positions": _flat(np.column_stack([xy, _heights(xy, terrain), yaw])),
         "forbidden": (~outside_zones(xy, zones)).astype(int).tolist(),
         "area": rings(area, terrain) if area is not None else None,
-        "lifted": {name: _lifted_points(name, drawing, terrain) for name in LAYERS},
+        "lifted": {name: _lifted_points(name, drawing, terrain) for name in LIFTED},
         "area_m2": pavement.area,
         "problems": problems,
     }
