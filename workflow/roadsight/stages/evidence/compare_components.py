@@ -96,6 +96,13 @@ COMPONENTS = (
     "pole_landmarks",
     "image_ties",
 )
+# Components that calibration, cameras and sightings depend on; all else depends on every component.
+_OF_CALIBRATION = {"occlusion", "side_views", "pole_landmarks", "image_ties"}
+_CHANGED_BY = {
+    "calibration": _OF_CALIBRATION,
+    "cameras": _OF_CALIBRATION | {"alignment"},
+    "sightings": _OF_CALIBRATION | {"alignment", "lidar_bearing"},
+}
 
 
 def compare_components(given: Given, *, out: Path) -> None:
@@ -105,17 +112,20 @@ def compare_components(given: Given, *, out: Path) -> None:
     by evidence, the study's sweep places the poles; without its determinism too, the first code.
     """
     settings = validated(PoleSettings, json.loads(given.settings_json), "settings")
-    records = []
-    for component in ("all", *COMPONENTS):
-        with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+        records = []
+        for component in ("all", *COMPONENTS):
             variant = _Variant(given, settings, component, Path(folder))
             records.append({"component": component, **variant.run()})
-        log.info("%s", records[-1])
+            log.info("%s", records[-1])
     write_json(out, records)
 
 
 class _Variant:
-    """One run of the stages from calibration to validation in a folder of its own."""
+    """One run of the stages from calibration to validation.
+
+    What a component does not change is taken from the runs before: variants share a folder.
+    """
 
     def __init__(self, given: Given, settings: PoleSettings, without: str, folder: Path) -> None:
         self._without, self._folder = without, folder
@@ -141,7 +151,9 @@ class _Variant:
         return {"images_accepted": images} | {str(k): _known(v) for k, v in medians.items()}
 
     def _path(self, name: str, suffix: str = "parquet") -> Path:
-        return self._folder / f"{name}.{suffix}"
+        """File of a result, named after the component if the result depends on it."""
+        apart = self._without in _CHANGED_BY.get(name.partition("-")[0], COMPONENTS)
+        return self._folder / f"{self._without if apart else 'all'}-{name}.{suffix}"
 
     def _front_only(self, given: Given) -> Given:
         frames = read_table(given.frames).assign(left_path="", right_path="")
@@ -168,21 +180,25 @@ class _Variant:
             given.columns if given.pole_axes else None,
         )
         calibration, sides = self._path("calibration", "json"), self._settings.sightings
-        calibrate_drives(
-            files,
-            DenseFiles(asked.method),
-            self._settings.calibration,
-            sides.left_yaw_deg,
-            sides.right_yaw_deg,
-            given.baseline,
-            given.matches,
-            out=calibration,
-        )
+        if not calibration.exists():
+            calibrate_drives(
+                files,
+                DenseFiles(asked.method),
+                self._settings.calibration,
+                sides.left_yaw_deg,
+                sides.right_yaw_deg,
+                given.baseline,
+                given.matches,
+                out=calibration,
+            )
         method = DenseFiles("none" if self._without == "alignment" else asked.method)
         limits = _part(AlignmentLimits, asked)
-        align_cameras(files, method, limits, calibration, out=self._path("cameras"))
+        if not self._path("cameras").exists():
+            align_cameras(files, method, limits, calibration, out=self._path("cameras"))
 
     def _measure(self) -> None:
+        if self._path("sightings").exists():
+            return
         given, settings = self._given, self._settings.sightings
         if self._without == "lidar_bearing":
             settings = settings.model_copy(update={"bearing": "image"})
