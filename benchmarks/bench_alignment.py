@@ -34,10 +34,9 @@ from roadsight.poles.alignment.pose import (
     pose_of,
 )
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.alignment.search import search
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, search
 from roadsight.poles.alignment.verdict import Limits, doubt
-from roadsight.stages.poles.shared.published_inputs import ways_ahead
+from roadsight.stages.poles.align_cameras import ways_ahead
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.helpers.road_bed import RoadBed, frames_of

@@ -14,17 +14,16 @@ import numpy as np
 
 from bench_lidar_scene import exact_depth, mobile_cloud, pavement_targets, sensor_poses
 from bench_measure import Cost, Size, measured, row
-from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
-from roadsight.io.images.depth_networks import network_for
-from roadsight.placement.depth.models import model_of_points
+from roadsight.evidence.exact_highway import WRONG_M, share_wrong
+from roadsight.io.images.models import network_for
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.depth.unet import model_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
-from roadsight.scene.profile import count_cells, density
-from roadsight.scene.spacing import plan_spacing_m
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
-from roadsight.synthetic.highway.highway import build_highway
+from roadsight.scene.profile import count_cells, density, plan_spacing_m
+from roadsight.scene.surfels import build_surfels
+from roadsight.scene.voxel_planes import sum_moments
+from roadsight_worlds.highway.highway import build_highway
 
 ROOT = Path(__file__).parents[1]
 NETWORKS = {"": "depth_unet.onnx", ", 33 layers": "depth_unet_33.onnx"}

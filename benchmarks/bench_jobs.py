@@ -23,7 +23,7 @@ from bench_measure import Size, measured, row
 from roadsight.evidence.studies import PublishedStage, load_tradeoffs
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.usage import Usage, last_usage
+from roadsight.io.records.run_records import Usage, last_usage
 from roadsight.placement.depth.hybrid import hybrid_depth
 from roadsight.placement.sensors.sensors import load_sensors
 

@@ -24,17 +24,17 @@ from bench_lidar_scene import (
     sensor_poses,
 )
 from bench_measure import Cost, Size, measured, row
-from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
-from roadsight.io.images.depth_networks import network_for
+from roadsight.evidence.exact_highway import WRONG_M, share_wrong
+from roadsight.io.images.models import network_for
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.depth.unet import model_of_points
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
-from roadsight.scene.surfels.surfels import Surfels, build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
-from roadsight.synthetic.highway.highway import Highway, build_highway
+from roadsight.scene.surfels import Surfels, build_surfels
+from roadsight.scene.voxel_planes import sum_moments
+from roadsight_worlds.highway.highway import Highway, build_highway
 
 SENSORS = ("OS-128", "VLP-16")
 SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"

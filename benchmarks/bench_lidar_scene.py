@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.evidence.exact_ranges import exact_ranges
+from roadsight.evidence.exact_highway import exact_ranges
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.synthetic.casting.alignment import heading_at, to_plan
-from roadsight.synthetic.casting.terrain import height_at
-from roadsight.synthetic.highway.highway import Highway
-from roadsight.synthetic.highway.mobile_scanner import scan
+from roadsight_worlds.casting.alignment import heading_at, to_plan
+from roadsight_worlds.casting.terrain import height_at
+from roadsight_worlds.highway.highway import Highway
+from roadsight_worlds.highway.mobile_scanner import scan
 
 Pose = tuple[NDArray[np.float64], float]
 

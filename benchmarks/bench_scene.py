@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from bench_measure import Size, measured, row
 from roadsight.base.sections.scene import GroundFilter
-from roadsight.scene.pavement.clusters import euclidean_clusters
-from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.fpfh import describe_ground
+from roadsight.scene.pavement.outline import euclidean_clusters
 from roadsight.scene.terrain.ground import published_ground
 from roadsight.scene.terrain.terrain import label_ground
 

@@ -21,8 +21,8 @@ import pandas as pd
 
 from roadsight.base.sections.poles import EdgeTracing
 from roadsight.io.images.models import read_label_map
-from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import _borders, _cleaned_road
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.lanes import centre_lines
 from roadsight.poles.images.pole_masks import Instance, find_instances
 

@@ -18,12 +18,10 @@ import roadsight
 from roadsight.base.engines import ENGINES, open3d
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.scene.pavement.clusters import euclidean_clusters
-from roadsight.scene.pavement.describe import describe_ground
-from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.surfels.local import build_local_surfels
-from roadsight.scene.surfels.outliers import in_company
-from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.scene.pavement.fpfh import describe_ground, fit_smoothness, is_smooth
+from roadsight.scene.pavement.outline import euclidean_clusters
+from roadsight.scene.surfels import build_local_surfels, in_company
+from roadsight.scene.voxel_planes import sum_moments
 
 _MOST = 3_000_000
 """Points at most, the first."""

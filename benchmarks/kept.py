@@ -25,7 +25,7 @@ from sklearn.cluster import DBSCAN
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.las_header import _stated, check_structure
 from roadsight.io.images.exif import decoded_image, image_facts
-from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.outline import euclidean_clusters
 
 _DAMAGED = """
 import sys, laspy, resource

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from roadsight.evidence.hardcases.case import CaseResult
-from roadsight.evidence.hardcases.catalogue import all_cases
+from roadsight_hardcases.case import CaseResult
+from roadsight_hardcases.catalogue import all_cases
 from roadsight.evidence.truth.catalogue import AREAS
 from roadsight.evidence.truth.table import Figure, truth_rows
 from roadsight.report.evidence import audit_page, hardcases_page, truth_page

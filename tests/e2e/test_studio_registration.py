@@ -10,8 +10,7 @@ import pytest
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
-from roadsight.io.images.baselines import read_baselines
-from roadsight.io.images.camera_tables import read_cameras
+from roadsight.io.images.camera_tables import read_baselines, read_cameras
 from roadsight.io.records.atomic import read_json
 from tests.e2e.studio_page import (
     check_look,

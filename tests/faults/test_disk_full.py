@@ -21,19 +21,18 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.cloud.voxel_tables import VoxelTableWriter
-from roadsight.io.images.image_shards import ImageShardWriter
-from roadsight.io.images.videolog_shards import JpegShardWriter, write_csv
+from roadsight.io.images.image_shards import ImageShardWriter, JpegShardWriter, write_csv
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
+from roadsight.io.records.surfaces import write_terrain
 from roadsight.io.records.tables import write_table
-from roadsight.io.records.terrains import write_terrain
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.scene.terrain.tin import Terrain
-from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
+from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.scene.ingest_cloud import ingest
+from roadsight.stages.scene.rasterise_lidar import VoxelTableWriter
 from tests.helpers.las_files import wkt_of
 
 FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=wkt_of("EPSG:25832"))

@@ -11,9 +11,8 @@ import numpy as np
 
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image, image_facts
-from roadsight.io.images.label_images import LabelImages
-from roadsight.poles.images.manifest import LabelMap
-from roadsight.poles.images.networks import folder_mask
+from roadsight.io.images.image_shards import LabelImages
+from roadsight.poles.images.networks import LabelMap, folder_mask
 
 KINDS = ("bits", "palette", "orientation", "smaller", "sideways", "stretched")
 _LABELS = LabelMap(labels=4, classes={0: "road", 1: "pole", 2: "sky", 3: "sign"})

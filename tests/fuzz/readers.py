@@ -17,26 +17,25 @@ import shapely
 import yaml
 from scipy import sparse
 
+from roadsight.base.section import validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
+from roadsight.commands.register import read_pairs
 from roadsight.config.load import load_config, load_site
 from roadsight.config.plans import load_plans
 from roadsight.effects.catalogue import load_catalogue
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.clouds import iter_chunks
-from roadsight.io.images.baselines import read_baselines
-from roadsight.io.images.camera_tables import read_cameras
-from roadsight.io.images.clicked_pairs import read_pairs
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.camera_tables import read_baselines, read_cameras
+from roadsight.io.images.image_shards import LabelImages
 from roadsight.io.images.models import open_model
 from roadsight.io.images.videologs import ImageSource, read_videolog_table
 from roadsight.io.records.matrices import read_element_list, read_matrix, read_set_list, read_vector
 from roadsight.io.records.sighting_tables import read_sightings
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.vectors import read_lines, read_polygons
 from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.poles.images.manifest import LabelMap
+from roadsight.poles.images.networks import LabelMap
 from roadsight.stages.scene.ingest_cloud import survey
 from tests.helpers.las_files import in_chunks, random_points, wkt_of, write_las
 from tests.helpers.onnx_bytes import pointwise

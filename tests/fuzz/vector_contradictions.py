@@ -16,7 +16,7 @@ import shapely
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines
 from tests.helpers.las_files import wkt_of

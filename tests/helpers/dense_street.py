@@ -12,7 +12,7 @@ import numpy as np
 from roadsight.geometry.cameras import cam_from_world
 from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.visible import SceneCloud
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 
 SIZE = (360, 1200)
 LENS = GivenLens(690.0, 588.0, 176.0)

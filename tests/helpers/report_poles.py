@@ -21,7 +21,7 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import write_table
-from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
+from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from tests.helpers.report_site import ReportSite
 
 SHARDS, STEP_M, ABOVE_ROAD_M = 2, 8.0, 2.2

@@ -18,10 +18,10 @@ from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
-from roadsight.io.records.detections import write_detections
+from roadsight.io.records.placement_tables import write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
-from roadsight.stages.placement.shared.level_cover import described
+from roadsight.stages.placement.solve_cover import described
 from tests.conftest import PROJECT
 
 PLANS = {

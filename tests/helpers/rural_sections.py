@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roadsight.synthetic.rural.rural_ground import SIDE_ROAD, section_profile
+from roadsight_worlds.rural.rural_ground import SIDE_ROAD, section_profile
 
 
 def open_stations(site, side, step_m=7.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import validated
+from roadsight.base.section import validated
 from roadsight.config.load import load_config
 from roadsight.config.plans import Plan
 from roadsight.config.schema import Settings

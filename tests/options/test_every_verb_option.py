@@ -16,7 +16,7 @@ import pytest
 from scipy import sparse
 
 from roadsight.__main__ import build_parser, main
-from roadsight.evidence.cost_tables import SHIPPED
+from roadsight.evidence.estimate import SHIPPED
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.io.cloud.clouds import write_laz
 from tests.conftest import PROJECT

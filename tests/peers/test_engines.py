@@ -9,12 +9,11 @@ import roadsight
 from roadsight.base.engines import ENGINES
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.scene.pavement.clusters import euclidean_clusters
-from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.fpfh import describe_ground
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
-from roadsight.scene.surfels.outliers import in_company
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.scene.pavement.outline import euclidean_clusters
+from roadsight.scene.surfels import build_surfels, in_company
+from roadsight.scene.voxel_planes import sum_moments
 
 pytestmark = pytest.mark.usefixtures("o3d")
 FAR = np.array([4.5e5, 5.6e6, 300.0])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.scene.pavement.fpfh import fpfh
-from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.fpfh import fpfh, nearest_neighbours, upward_normals
 
 K = 10
 

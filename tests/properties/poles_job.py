@@ -24,7 +24,7 @@ from roadsight.base.sections.poles import (
 )
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
 from roadsight.io.records.tables import read_table
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from tests.properties.stage_calls import StageCalls
 
 LABELS = str(Path(__file__).resolve().parents[2] / "resources/manifests/labels_project.yaml")

@@ -13,10 +13,9 @@ from roadsight.base.errors import InputError
 from roadsight.setcover import CoverProblem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.plans.alternatives import most_different, replacements
-from roadsight.setcover.plans.conflicts import spacing_cliques
 from roadsight.setcover.plans.curve import coverage_curve
 from roadsight.setcover.plans.deploy import solve_costly_cover, solve_deployment
-from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 
 GOALS = ("cover", "budget", "price", "overlap")
 

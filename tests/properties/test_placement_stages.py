@@ -17,15 +17,14 @@ from hypothesis import strategies as st
 from shapely import LineString, MultiPolygon, affinity
 
 from roadsight.base.sections.placement import Candidates
-from roadsight.placement.candidates.candidates import stack_candidates
-from roadsight.placement.candidates.positions import positions_along
+from roadsight.placement.candidates.candidates import positions_along, stack_candidates
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import count_hits
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import add_moments, sum_moments
+from roadsight.scene.surfels import build_surfels
+from roadsight.scene.voxel_planes import add_moments, sum_moments
 
 SEEDS = st.integers(0, 2**31)
 ANGLES = st.floats(-180.0, 180.0)

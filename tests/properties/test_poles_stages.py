@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from roadsight.base.sections.poles import Hazard
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.frames import Frame
-from roadsight.poles.drive.track import headings_deg
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.drive.videolog import headings_deg
 from roadsight.poles.images.image_edges import trace_edges
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.risk.hazard import rate_poles
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 from roadsight.scene.terrain.tin import triangulate as make_terrain
-from roadsight.scene.voxels.voxel_classes import (
+from roadsight.scene.voxel_classes import (
     VoxelGrid,
     add_runs,
     count_classes,

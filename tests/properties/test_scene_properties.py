@@ -10,13 +10,10 @@ from hypothesis import strategies as st
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.geometry.frames import Frame
 from roadsight.scene.grids import Grid
-from roadsight.scene.pavement.clusters import euclidean_clusters
-from roadsight.scene.pavement.fpfh import fpfh
-from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.surfels.thinning import column_means
-from roadsight.scene.terrain.coarse import coarse_ground
+from roadsight.scene.pavement.fpfh import column_means, fpfh, nearest_neighbours, upward_normals
+from roadsight.scene.pavement.outline import euclidean_clusters
+from roadsight.scene.terrain.coarse import coarse_ground, lowest_supported
 from roadsight.scene.terrain.ground import ground_mask
-from roadsight.scene.terrain.lowest import lowest_supported
 
 # Cells are binary fractions and points lie on a binary raster, so that moving them is exact.
 SETTINGS = GroundFilter(pillar_width_m=0.25, coarse_cell_m=1.0)

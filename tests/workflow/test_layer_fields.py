@@ -21,7 +21,7 @@ from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.raster.rasters import read_raster
-from roadsight.io.records.detections import read_detections
+from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.sensors.aimed import AimedSensor, Camera
 from roadsight.placement.sensors.poses import split_pose

@@ -18,7 +18,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.vector.vectors import read_layer
-from roadsight.synthetic.rural.rural_ground import LANE_M
+from roadsight_worlds.rural.rural_ground import LANE_M
 
 US_FOOT = 1200 / 3937
 SAME = {"abs": 1e-6, "nan_ok": True}

@@ -13,8 +13,7 @@ from pyproj import Transformer
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.tables import read_table
-from roadsight.poles.risk.roads import roads_of
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks, roads_of
 from tests.workflow.conftest import Checkout
 
 ROADS = """\

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import re
 
-from roadsight.studio.edges.drawing import load_drawing, save_drawing
-from roadsight.studio.edges.shapes import Drawing
+from roadsight.studio.drawing import Drawing, load_drawing, save_drawing
+from roadsight.studio.drive_views import SiteDrive
+from roadsight.studio.pole_review import Decision, review, save_decisions
 from roadsight.studio.project import Project
-from roadsight.studio.registration.drive import SiteDrive
-from roadsight.studio.registration.registering import PoseBody
-from roadsight.studio.registration.registration_files import save_correction
-from roadsight.studio.results.pole_review import Decision, review, save_decisions
+from roadsight.studio.registering import PoseBody, save_correction
 from tests.workflow.conftest import with_followers
 from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
 from tests.workflow.test_small_changes import AFTER_DETECTION

@@ -10,8 +10,7 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.config.load import load_config
-from roadsight.evidence.variants import Variant, VariantError
-from roadsight.io.records.mirror import mirror_site
+from roadsight.evidence.variants import Variant, VariantError, mirror_site
 from tests.workflow.conftest import Checkout
 from tests.workflow.test_staleness import after
 

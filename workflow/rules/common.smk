@@ -17,12 +17,12 @@ from roadsight.config.load import (
     load_sites,
     merged,
 )
-from roadsight.config.named import NamedValue
+from roadsight.config.load import NamedValue
 from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
-from roadsight.io.records.checksums import CachedChecksums
+from roadsight.io.records.sources import CachedChecksums
 from roadsight.io.records.sources import Stamps
 from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml

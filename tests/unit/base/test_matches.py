@@ -4,8 +4,8 @@ import logging
 
 import pytest
 
+from roadsight.base.doubts import FEW, tell_matches, tell_named
 from roadsight.base.errors import InputError
-from roadsight.base.matches import FEW, tell_matches, tell_named
 
 LOG = logging.getLogger("roadsight.test")
 

@@ -12,10 +12,10 @@ import pytest
 
 from roadsight.__main__ import main
 from roadsight.geometry.cameras import Intrinsics, project
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import LabelImages
 from roadsight.stages.scene import generate_rural, render_videolog
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives
 from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
 
 LENGTH = ["--length-m", "160", "--seed", "2"]

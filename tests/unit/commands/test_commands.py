@@ -19,10 +19,10 @@ from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import load_sensor
 from roadsight.stages.scene import generate_sample
 from roadsight.stages.scene.generate_sample import TRUTH_DIMENSION
-from roadsight.synthetic.casting.alignment import to_plan
-from roadsight.synthetic.casting.materials import TruthClass
-from roadsight.synthetic.highway.highway import EPSG, ORIGIN_M, build_highway
-from roadsight.synthetic.highway.truth import truth_layers
+from roadsight_worlds.casting.alignment import to_plan
+from roadsight_worlds.casting.materials import TruthClass
+from roadsight_worlds.highway.highway import EPSG, ORIGIN_M, build_highway
+from roadsight_worlds.highway.truth import truth_layers
 from tests.helpers.las_files import random_points, wkt_of, write_las
 
 LENGTH_M, SEED = 60.0, 1

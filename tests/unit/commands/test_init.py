@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import validated
+from roadsight.base.section import validated
 from roadsight.commands import init
 from roadsight.config import starter
 from roadsight.config.load import load_site

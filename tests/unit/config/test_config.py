@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
+from roadsight.base.section import validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
 from roadsight.config.load import load_config, load_site
 from roadsight.config.plans import load_plans
 from roadsight.config.render import render_config

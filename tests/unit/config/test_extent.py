@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from roadsight.base.errors import InputError
 from roadsight.config.sites import Extent
 from roadsight.geometry.frames import Frame
-from roadsight.io.vector.extent import read_extent
+from roadsight.io.vector.site_bounds import read_extent
 from roadsight.stages.scene.ingest_cloud import main
 from tests.helpers.las_files import random_points, write_las
 from tests.unit.scene.test_ingest import UTM, run

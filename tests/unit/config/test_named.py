@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 
-from roadsight.config.named import NamedValue
+from roadsight.config.load import NamedValue
 
 
 def test_swapped_values_are_another_set_of_parameters() -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from roadsight.base.section import Section
-from roadsight.base.sections.sample import Sample
+from roadsight.base.sections.run import Sample
 from roadsight.config.schema import Config
 from tests.conftest import PROJECT
 

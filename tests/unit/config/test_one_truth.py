@@ -19,7 +19,7 @@ from roadsight.base.options import add_settings
 from roadsight.base.section import Section
 from roadsight.base.sections.placement import Cover
 from roadsight.base.sections.poles import Voxels
-from roadsight.base.sections.sample import Sample
+from roadsight.base.sections.run import Sample
 from roadsight.base.sections.scene import Pavement
 from roadsight.config.schema import Settings
 from tests.conftest import PROJECT

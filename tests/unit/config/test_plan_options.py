@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import validated
+from roadsight.base.section import validated
 from roadsight.config.load import load_config, load_site
 from roadsight.config.plans import Plan
 from roadsight.config.schema import Config

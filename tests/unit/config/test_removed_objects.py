@@ -3,7 +3,7 @@
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import validated
+from roadsight.base.section import validated
 from roadsight.config.sites import PlacementInputs
 from roadsight.placement.sight.objects import kind_of_name
 

@@ -13,10 +13,10 @@ from roadsight.config.schema import Settings
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.quantities import PLACEMENT
 from roadsight.evidence.metrics import METRICS
-from roadsight.evidence.refusals import refuse_other_targets
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import KINDS, Box, Cylinder, shape_of
 from roadsight.stages.evidence import measure_tradeoff
+from roadsight.stages.evidence.measure_tradeoff import refuse_other_targets
 
 SENSOR = Sensor(
     elevation_min_deg=-20,

@@ -10,7 +10,7 @@ import pytest
 from pyproj import CRS, Geod
 
 from roadsight.base.sections.poles import Reach
-from roadsight.base.sections.sample import RuralScene
+from roadsight.base.sections.run import RuralScene
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.lens import RadialLens
@@ -23,10 +23,10 @@ from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.stages.poles import rate_hazard
 from roadsight.stages.poles.rate_hazard import grid_scale
 from roadsight.stages.poles.shared.alignment_inputs import lowered
-from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
-from roadsight.synthetic.rendering.rendering_look import drive_look
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives
+from roadsight_worlds.rendering.images import Camera, Finish, RuralRenderer
+from roadsight_worlds.rendering.rendering_look import drive_look
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives
 from tests.helpers.road_bed import RoadBed, frames_of
 
 MERCATOR = Frame((0.0, 6_600_000.0, 0.0), 1.0, 1.0, CRS.from_epsg(3857).to_wkt())

@@ -15,8 +15,6 @@ from hypothesis import strategies as st
 
 from roadsight.__main__ import main
 from roadsight.base.errors import InputError
-from roadsight.evidence.cost_records import read_amounts, read_records, read_stored
-from roadsight.evidence.cost_tables import SHIPPED, read_costs
 from roadsight.evidence.costs import (
     STEPS,
     STORED,
@@ -29,7 +27,16 @@ from roadsight.evidence.costs import (
     held_out,
     typical_factor,
 )
-from roadsight.evidence.estimate import StepEstimate, _wall_h, estimate
+from roadsight.evidence.estimate import (
+    SHIPPED,
+    StepEstimate,
+    _wall_h,
+    estimate,
+    read_amounts,
+    read_costs,
+    read_records,
+    read_stored,
+)
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import write_table
 from tests.conftest import PROJECT

@@ -19,7 +19,7 @@ from roadsight.evidence.effects_audit import (
     read_answer,
 )
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import write_detections
+from roadsight.io.records.placement_tables import write_detections
 from roadsight.io.records.sources import stage_module
 from roadsight.io.records.tables import write_table
 from roadsight.stages.evidence import audit_effects as stage

@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.evidence.exact_highway import ExactHighway
-from roadsight.evidence.exact_ranges import share_wrong
-from roadsight.evidence.posed_truth import sees_in_pose
-from roadsight.evidence.precision import (
+from roadsight.evidence.exact_highway import ExactHighway, sees_in_pose, share_wrong
+from roadsight.geometry.frames import Frame
+from roadsight.placement.sensors.sensors import Camera, Sensor
+from roadsight.stages.evidence.measure_precision import (
     largest_error_m,
     normal_error_deg,
     normals_of,
     stored,
 )
-from roadsight.geometry.frames import Frame
-from roadsight.placement.sensors.sensors import Camera, Sensor
-from roadsight.synthetic.highway.highway import build_highway
-from roadsight.synthetic.highway.truth import surface_at
+from roadsight_worlds.highway.highway import build_highway
+from roadsight_worlds.highway.truth import surface_at
 
 SENSOR = Sensor(azimuth_step_deg=10, elevations_deg=(-60, -30, -5), range_m=40)
 

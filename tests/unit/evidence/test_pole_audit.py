@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.evidence.effects_audit import COLUMNS
-from roadsight.evidence.pole_audit import (
+from roadsight.evidence.effects_audit import (
+    COLUMNS,
     PoleAnswer,
     answer_change,
     bearing_change,

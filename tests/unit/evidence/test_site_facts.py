@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from roadsight.base.errors import InputError
-from roadsight.evidence.site_facts import radius_of, site_facts
+from roadsight.stages.evidence.measure_paper import radius_of, site_facts
 
 
 def arc(radius_m, angle, offset_m=0.0):

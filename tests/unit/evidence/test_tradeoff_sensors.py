@@ -10,18 +10,18 @@ import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.base.sections.poses import Poses
-from roadsight.base.sections.sample import Sample
+from roadsight.base.sections.placement import Poses
+from roadsight.base.sections.run import Sample
 from roadsight.config.schema import Settings
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.evidence.metrics import METRICS
-from roadsight.evidence.refusals import refuse_sensors_without_maps
 from roadsight.evidence.results import Results
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.placement.sensors.sensors import AimedSensor, Sensor, load_sensors
 from roadsight.stages.evidence import measure_tradeoff
-from roadsight.synthetic.highway.highway import build_highway
+from roadsight.stages.evidence.measure_tradeoff import refuse_sensors_without_maps
+from roadsight_worlds.highway.highway import build_highway
 
 LENGTH_M = 60.0
 AS_MOUNTED = Poses().spinning.model_dump()

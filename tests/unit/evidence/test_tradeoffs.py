@@ -15,7 +15,7 @@ from roadsight.base.errors import InputError
 from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Config
 from roadsight.evidence import placement_metrics
-from roadsight.evidence.base_costs import base_costs, with_base_costs
+from roadsight.evidence.costs import base_costs, with_base_costs
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import (
     NAMED,

@@ -7,8 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
-from roadsight.scene.edges.pixels import between_pixels, blocks, windows_around
+from roadsight.scene.road_edges import (
+    between_pixels,
+    blocks,
+    resampled,
+    runs_of,
+    smoothed,
+    trimmed,
+    windows_around,
+)
 
 seeds = st.integers(0, 10**6)
 

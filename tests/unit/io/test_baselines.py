@@ -7,7 +7,7 @@ import json
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.camera_tables import read_baselines
 
 
 def test_what_is_stated_and_nothing_else(tmp_path):

@@ -5,9 +5,9 @@ import os
 
 import pytest
 
-from roadsight.io.records import checksums
+from roadsight.io.records import sources as checksums
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.checksums import CachedChecksums, sha256
+from roadsight.io.records.sources import CachedChecksums, sha256
 
 
 @pytest.fixture

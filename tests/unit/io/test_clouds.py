@@ -12,8 +12,7 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.cloud_scan import Contents, kept_chunks, scan_cloud
-from roadsight.io.cloud.clouds import iter_chunks, read_header, read_laz, write_laz
-from roadsight.io.cloud.laz_chunks import are_apart
+from roadsight.io.cloud.clouds import are_apart, iter_chunks, read_header, read_laz, write_laz
 from tests.helpers.las_files import DATA, in_chunks, needs_data, random_points, wkt_of, write_las
 
 XYZ = random_points(500)

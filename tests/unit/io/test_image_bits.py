@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roadsight.io.images.exif import decoded_image, image_facts, turned
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import LabelImages
 
 
 def exif_of(orientation, date="", parts=""):

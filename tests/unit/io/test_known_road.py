@@ -6,7 +6,7 @@ import pytest
 from shapely import LineString
 
 from roadsight.base.errors import InputError
-from roadsight.io.vector.known_road import read_seeds, read_track
+from roadsight.io.vector.known import read_seeds, read_track
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME
 
 

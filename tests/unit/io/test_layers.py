@@ -13,7 +13,7 @@ import shapely
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.external_weights import network_sha256, weight_files
-from roadsight.io.records.checksums import sha256
+from roadsight.io.records.sources import sha256
 from roadsight.io.vector.layer_names import split_layer, with_companions
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vector_sources import with_known_heights

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import check_path
+from roadsight.base.section import check_path
 from roadsight.io.images.models import open_model
 from tests.helpers.onnx_bytes import FLOAT, _number, _part, network, node, value
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
-from roadsight.base.validation import validated
+from roadsight.base.section import validated
 from roadsight.config.sites import Site
 from roadsight.config.starter import site_text
 from roadsight.io.images.videologs import ImageSource

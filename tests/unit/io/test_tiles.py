@@ -12,11 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.io.cloud.tile_spill import TileSpill
-from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.cloud.tile_writer import TileSpill, TileWriter
 from roadsight.io.cloud.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, CloudTiles, stack_xyz
-from roadsight.io.records.arrow import as_numpy, as_table
 from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import as_numpy, as_table
 
 
 def cloud(count, seed=0, extent=(120.0, 80.0, 12.0), coloured=True):
@@ -322,7 +321,7 @@ def test_clouds_are_written_and_read_without_pandas(tmp_path):
     script = """
 import sys
 import numpy as np
-from roadsight.io.cloud.tile_spill import TileSpill
+from roadsight.io.cloud.tile_writer import TileSpill
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.cloud.tiles import CloudTiles
 with TileWriter("c.parquet", 25.0, coloured=True) as writer:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from roadsight.io.records.usage import Usage, last_usage
+from roadsight.io.records.run_records import Usage, last_usage
 
 WORK = """
 import argparse, sys, time

@@ -7,7 +7,7 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.base.shards import deal
 from roadsight.io.images.videolog_files import dealt_images, files_by_shard, posed_share
-from roadsight.io.records.checksums import CachedChecksums
+from roadsight.io.records.sources import CachedChecksums
 
 NAMES = [f"r_{n:03d}.jpg" for n in range(20)]
 

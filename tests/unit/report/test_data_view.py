@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from roadsight.report.site.data_view import data_view
+from roadsight.report.site.plan_view import data_view
 
 SENSOR = {
     "candidate": "a",

@@ -21,7 +21,6 @@ from pyproj.crs import CompoundCRS
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import Raster, crs_wkt, read_raster
-from roadsight.io.vector.styled import StyledLayer, write_styled
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.report.handover.drawing import drawing
 from roadsight.report.handover.kml import kml
@@ -37,6 +36,7 @@ from roadsight.report.handover.project import project
 from roadsight.report.handover.stakeout import stakeout
 from roadsight.report.handover.styles import Category, Style, qml
 from roadsight.stages.evidence import write_handover, write_stakeout
+from roadsight.stages.evidence.write_handover import StyledLayer, write_styled
 from tests.helpers.report_site import PLANS, ReportSite
 
 COMPOUND = CRS.from_user_input("EPSG:6543+6360")

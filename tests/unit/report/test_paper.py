@@ -16,10 +16,17 @@ from pypdf import PdfReader
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.run_records import RunRecord, run_record
 from roadsight.report.packing import pack, pack_points, unpack, unpack_points
-from roadsight.report.paper.content import paper_content
-from roadsight.report.paper.plan_map import legend, plan_map, times_seen
-from roadsight.report.paper.sheet import HATCH, HATCH_COLOUR, SCALES, Drawing, fit
-from roadsight.report.paper.still import still, view_of
+from roadsight.report.printed import paper_content, still, view_of
+from roadsight.report.printed_map import (
+    HATCH,
+    HATCH_COLOUR,
+    SCALES,
+    Drawing,
+    fit,
+    legend,
+    plan_map,
+    times_seen,
+)
 from roadsight.stages.evidence import write_pdf, write_poles_page, write_site_page
 from tests.helpers.report_poles import PolesSite
 from tests.helpers.report_site import ReportSite

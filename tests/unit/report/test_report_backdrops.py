@@ -11,10 +11,10 @@ from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import longitudes_latitudes
+from roadsight.geometry.north import longitudes_latitudes
 from roadsight.io.raster.orthophotos import read_orthophoto
+from roadsight.report.document import map_place
 from roadsight.report.site.backdrops import backdrops
-from roadsight.report.site.place import map_place
 from tests.helpers.orthophoto import photo
 
 US_FOOT = 1200 / 3937

@@ -12,16 +12,19 @@ from shapely import LineString, MultiPolygon, Point, Polygon, box
 
 from roadsight.report.packing import pack, pack_points, to_byte
 from roadsight.report.site.layers import (
+    NO_DATA,
     UNKNOWN_HEIGHT,
     CloudSample,
+    block_mean,
     candidate_layer,
     cloud_layer,
     edge_layer,
+    hillshade,
+    near_measured,
     polygon_layer,
     relief_layer,
     target_layer,
 )
-from roadsight.report.site.shading import NO_DATA, block_mean, hillshade, near_measured
 from roadsight.report.site.thinning import sample_mask, thin
 
 

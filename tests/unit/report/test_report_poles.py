@@ -12,19 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.io.raster.top_rasters import TopRaster
-from roadsight.report.poles.poles_cautions import pole_cautions
-from roadsight.report.poles.poles_images import choose_images, overlay, picture
 from roadsight.report.poles.poles_layers import (
     ACCEPTED,
+    KINDS,
+    LEVELS,
     REJECTED,
     UNUSED,
     cameras_of,
+    class_layer,
     match_sightings,
     names_in,
     sighting_layer,
 )
-from roadsight.report.poles.poles_page import plain
-from roadsight.report.poles.poles_raster import KINDS, LEVELS, class_layer
+from roadsight.report.poles.poles_page import choose_images, overlay, picture, plain, pole_cautions
 from roadsight.report.poles.poles_view import _hazard as hazard_view
 
 

@@ -13,7 +13,7 @@ import pytest
 from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.stages.evidence import write_poles_page, write_report, write_site_page
 from tests.helpers.report_poles import REASON, PolesSite, changed_validation, without
 from tests.helpers.report_site import ReportSite

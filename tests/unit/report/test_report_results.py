@@ -9,7 +9,7 @@ import pytest
 from pyproj import CRS
 
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import bearing_deg, longitudes_latitudes
+from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.report.site.cautions import (
     data_cautions,
     is_proven,
@@ -17,15 +17,15 @@ from roadsight.report.site.cautions import (
     scene_cautions,
     told_cautions,
 )
-from roadsight.report.site.gaps import (
+from roadsight.report.site.page import (
     NOT_CHOSEN,
     OUT_OF_SIGHT,
     TOO_FEW,
     gaps_of,
     objects_in_the_way,
     obstacles_of,
+    sights_of,
 )
-from roadsight.report.site.sights import sights_of
 
 TARGETS = pd.DataFrame(
     {"target": ["a", "b", "c", "d"], "x": [0.0, 3, 6, 9], "y": [0.0, 0, 0, 0], "z": [0.0, 0, 0, 0]}

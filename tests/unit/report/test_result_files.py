@@ -8,7 +8,7 @@ import pytest
 
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.run_records import run_record
-from roadsight.report.result_files import KINDS, result_files, size_text
+from roadsight.report.document import FILES, result_files, size_text
 from roadsight.stages.evidence import write_report, write_site_page
 from tests.helpers.report_site import ReportSite
 
@@ -34,7 +34,7 @@ def test_only_files_that_are_there_in_the_order_of_kinds(tmp_path):
         "bend/summary.json",
     ]
     assert {file.size for file in found} == {"2.0 kB"}
-    assert len({pattern for pattern, *_ in KINDS}) == len(KINDS)
+    assert len({pattern for pattern, *_ in FILES}) == len(FILES)
 
 
 def test_the_report_names_its_run_and_its_files(tmp_path, monkeypatch):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roadsight.scene.edges.curbs import CurbSettings, find_curbs, follow, smooth_line
+from roadsight.scene.curbs import CurbSettings, find_curbs, follow, smooth_line
 
 HALF_M = 4.0
 STEP_M = 0.10

@@ -11,7 +11,7 @@ from shapely import LineString, MultiPolygon, box
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
-from roadsight.scene.edges.splines import natural_spline, outline_edges, spline_line
+from roadsight.scene.splines import natural_spline, outline_edges, spline_line
 
 SETTINGS = Edges()
 

@@ -6,14 +6,21 @@ import pytest
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene import whole
 from roadsight.scene.grids import Grid, lowest_per_cell, sample_bilinear
+from roadsight.scene.terrain import coarse as lowest
 from roadsight.scene.terrain import coarse as surface
-from roadsight.scene.terrain import ground, lowest
-from roadsight.scene.terrain.cells import flat_cells, sample_three
-from roadsight.scene.terrain.coarse import coarse_ground, fill_smoothly, low_outliers, pits_of
+from roadsight.scene.terrain import ground
+from roadsight.scene.terrain.coarse import (
+    coarse_ground,
+    fill_smoothly,
+    flat_cells,
+    low_outliers,
+    lowest_supported,
+    pits_of,
+    recovered,
+    sample_three,
+)
 from roadsight.scene.terrain.ground import ground_mask, window_percentile
 from roadsight.scene.terrain.ground_settings import ground_settings_for, pillar_widths_m
-from roadsight.scene.terrain.lowest import lowest_supported
-from roadsight.scene.terrain.recovery import recovered
 
 SETTINGS = GroundFilter()
 

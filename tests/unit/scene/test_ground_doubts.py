@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.base.doubts import by_severity
-from roadsight.scene.terrain import ground_doubts as told
-from roadsight.scene.terrain.ground_doubts import ClassAgreement, ground_doubts, raised_settings
 from roadsight.scene.terrain.terrain import TerrainModel
+from roadsight.stages.scene import build_dem as told
+from roadsight.stages.scene.build_dem import ClassAgreement, ground_doubts, raised_settings
 
 SHARES = st.floats(0, 1)
 SEEDS = st.integers(0, 2**31)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.scene.surfels.local import build_local_surfels
-from roadsight.scene.surfels.surfels import Surfels, build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.scene.surfels import Surfels, build_local_surfels, build_surfels
+from roadsight.scene.voxel_planes import sum_moments
 
 
 def plane(rng, count, west=0.0, side=20.0, noise=0.005):

@@ -12,10 +12,18 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.records.surfaces import read_terrain, write_terrain
 from roadsight.io.records.tables import write_table
-from roadsight.io.records.terrains import read_terrain, write_terrain
-from roadsight.scene.terrain.occlusion import TerrainSight, hidden_share, visible
-from roadsight.scene.terrain.tin import Terrain, add_cells, cell_means, sum_cells, triangulate
+from roadsight.scene.terrain.tin import (
+    Terrain,
+    TerrainSight,
+    add_cells,
+    cell_means,
+    hidden_share,
+    sum_cells,
+    triangulate,
+    visible,
+)
 from roadsight.stages.scene import build_terrain
 
 

@@ -17,9 +17,9 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRasterWriter, read_top
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.scene.edges import road_edges
-from roadsight.scene.edges.pixels import between_pixels
-from roadsight.scene.edges.road_edges import (
+from roadsight.scene import road_edges
+from roadsight.scene.road_edges import (
+    between_pixels,
     clean_road,
     closing_radius,
     edge_level,
@@ -29,9 +29,9 @@ from roadsight.scene.edges.road_edges import (
     outlines,
     without_small,
 )
-from roadsight.scene.edges.surface_heights import medians, surface_heights
-from roadsight.scene.voxels.voxel_classes import VoxelGrid, count_classes, seen_from_above, settle
+from roadsight.scene.voxel_classes import VoxelGrid, count_classes, seen_from_above, settle
 from roadsight.stages.scene import extract_road_edges
+from roadsight.stages.scene.extract_road_edges import medians, surface_heights
 
 CELL = 0.3048
 FRAME = Frame((2_000_000.0, 640_000.0, 300.0), CELL, CELL)

@@ -2,12 +2,16 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.scene.surfels.patches import Patches, merge_coplanar, patches_of_planes
-from roadsight.scene.surfels.plane_fit import fit_planes
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import (
+from roadsight.scene.surfels import (
+    Patches,
+    build_surfels,
+    merge_coplanar,
+    patches_of_planes,
+)
+from roadsight.scene.voxel_planes import (
     add_moments,
     coarsen,
+    fit_planes,
     pack_cells,
     sum_moments,
     unpack_keys,

@@ -5,8 +5,8 @@ import pytest
 
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene import whole
-from roadsight.scene.terrain.ground_doubts import ClassAgreement, ground_doubts, raised_settings
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
+from roadsight.stages.scene.build_dem import ClassAgreement, ground_doubts, raised_settings
 
 INFINITE = (-np.inf, -np.inf, np.inf, np.inf)
 

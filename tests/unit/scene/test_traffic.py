@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.cloud.tiles import COLUMN_TYPES, CloudTiles
+from roadsight.io.cloud.tiles import COLUMN_TYPES, CloudTiles, StandingCloud
 from roadsight.io.records.tables import write_table
 from roadsight.scene.grids import Grid
 from roadsight.scene.traffic import Columns, is_traffic

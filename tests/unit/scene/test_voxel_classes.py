@@ -21,10 +21,9 @@ from roadsight.io.raster.top_rasters import TopRasterWriter, read_top
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.vectors import write_layers
+from roadsight.scene import voxel_classes
 from roadsight.scene.classes import class_table, is_road
-from roadsight.scene.pavement.paved import PavedArea
-from roadsight.scene.voxels import voxel_classes
-from roadsight.scene.voxels.voxel_classes import (
+from roadsight.scene.voxel_classes import (
     Columns,
     VoxelGrid,
     add_runs,
@@ -33,6 +32,7 @@ from roadsight.scene.voxels.voxel_classes import (
     settle,
 )
 from roadsight.stages.scene import rasterise_lidar
+from roadsight.stages.scene.rasterise_lidar import PavedArea
 
 FOOT = 0.3048
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roadsight.scene.surfels.thinning import column_means
+from roadsight.scene.pavement.fpfh import column_means
 
 
 def test_columns_equal_a_literal_loop(rng):

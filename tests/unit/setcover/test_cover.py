@@ -13,7 +13,7 @@ from roadsight.io.records.matrices import read_element_list, read_set_list
 from roadsight.setcover import CoverProblem, maximise_coverage, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.problem import objective_step
-from roadsight.setcover.cover import handover
+from roadsight.setcover.cover import solve as handover
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
 

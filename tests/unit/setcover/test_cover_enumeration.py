@@ -15,9 +15,9 @@ from roadsight.setcover.common.kernels import reduced_costs
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
-from roadsight.setcover.cover import closing, enumeration, handover
-from roadsight.setcover.cover.enumeration import enumerate_covers
-from roadsight.setcover.cover.enumeration_kernels import _lowest, _ones, affordable_pairs
+from roadsight.setcover.cover import closing, enumeration
+from roadsight.setcover.cover import solve as handover
+from roadsight.setcover.cover.enumeration import _lowest, _ones, affordable_pairs, enumerate_covers
 from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
 
 CHOICES, TARGETS = 11, 24

@@ -14,9 +14,9 @@ from roadsight.setcover.common.relaxation import (
     Relaxation,
     Solution,
 )
-from roadsight.setcover.cover import interior
-from roadsight.setcover.cover.interior import interior_bound, is_large
+from roadsight.setcover.cover import solve as interior
 from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
+from roadsight.setcover.cover.solve import interior_bound, is_large
 
 LENGTH_M, REACH_M = 300, 25
 

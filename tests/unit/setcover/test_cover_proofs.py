@@ -7,15 +7,22 @@ import pytest
 from scipy import sparse
 
 from roadsight.setcover import CoverProblem, solve_cover_problem
-from roadsight.setcover.common.balas_ng_cuts import _descend, balas_ng_cuts
-from roadsight.setcover.common.constraints import Constraint, distinct, stacked
+from roadsight.setcover.common.cuts import (
+    Constraint,
+    _descend,
+    balas_ng_cuts,
+    distinct,
+    parity_cuts,
+    stacked,
+)
 from roadsight.setcover.common.deadline import Deadline, WorkLimit
-from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.reductions import reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation
-from roadsight.setcover.cover import core, handover, interior, long_search
-from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
-from roadsight.setcover.cover.long_search import LongSearch
+from roadsight.setcover.cover import local_search as long_search
+from roadsight.setcover.cover import search as core
+from roadsight.setcover.cover import solve as handover
+from roadsight.setcover.cover import solve as interior
+from roadsight.setcover.cover.local_search import LocalSearch, LongSearch, greedy_cover
 
 
 def relaxed(matrix, at_least=1):

@@ -7,7 +7,7 @@ from scipy import sparse
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common import deadline
 from roadsight.setcover.common.deadline import Deadline, Effort, Patience, WorkLimit
-from roadsight.setcover.cover import handover
+from roadsight.setcover.cover import solve as handover
 
 
 def test_patience_grows_with_the_work_up_to_the_last_move():

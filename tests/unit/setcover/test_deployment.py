@@ -8,13 +8,12 @@ from scipy import sparse
 from roadsight.setcover import CoverProblem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.kernels import count_of_rows, sums_of_rows
-from roadsight.setcover.plans.budget import budgeted
 from roadsight.setcover.plans.construct import Builder
-from roadsight.setcover.plans.curve import coverage_curve
+from roadsight.setcover.plans.curve import budgeted, coverage_curve
 from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
-from roadsight.setcover.plans.master import Master, Relaxed
+from roadsight.setcover.plans.tree import Master, Relaxed
 
 
 def test_a_price_on_coverage_changes_no_complete_answer():

@@ -9,8 +9,7 @@ import pytest
 from scipy import sparse
 
 from roadsight.base.errors import InputError
-from roadsight.setcover.joint.joint import solve_joint
-from roadsight.setcover.joint.joint_problem import JointProblem, best_of_groups, least_number
+from roadsight.setcover.plans.joint import JointProblem, best_of_groups, least_number, solve_joint
 
 
 def random_problem(rng, choices=9, targets=12, level=0.95, priced=True):

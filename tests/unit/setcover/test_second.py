@@ -13,8 +13,7 @@ from roadsight.setcover import Cover, CoverProblem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
-from roadsight.setcover.plans.second import chosen_again, second_objective
-from roadsight.setcover.plans.second_bounds import prices
+from roadsight.setcover.plans.second import chosen_again, prices, second_objective
 
 
 def _case(rng):

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from roadsight.stages.ahead import in_order
+from roadsight.stages.scene.rasterise_lidar import in_order
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

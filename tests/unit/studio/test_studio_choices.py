@@ -14,8 +14,8 @@ import yaml
 from roadsight.base.errors import InputError
 from roadsight.io.vector.vectors import write_geojson
 from roadsight.stages.placement import solve_cover
+from roadsight.studio.layout import Layouts
 from roadsight.studio.project import Project
-from roadsight.studio.results.layout import Layouts
 from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.studio.cloud.levels import (
+from roadsight.studio.cloud_tiles import (
     CELLS_M,
     LEVELS,
     RECORD,

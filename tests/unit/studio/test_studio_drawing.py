@@ -15,9 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
-from roadsight.scene.edges.splines import spline_line
-from roadsight.studio.edges.drawing import load_drawing, save_drawing
-from roadsight.studio.edges.shapes import Drawing, Edge, edge_line
+from roadsight.scene.splines import spline_line
+from roadsight.studio.drawing import Drawing, Edge, edge_line, load_drawing, save_drawing
 from roadsight.studio.project import Project
 from roadsight.studio.server import create_app
 from tests.e2e.studio_project import make_project

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.studio.guard import is_own_host, is_own_origin
 from roadsight.studio.project import Project, find_project
-from roadsight.studio.server import create_app, listen
+from roadsight.studio.server import create_app, is_own_host, is_own_origin, listen
 
 TOKEN = "right-token"
 OWN = {"Host": "127.0.0.1:8711", "X-Roadsight-Token": TOKEN}

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
+from roadsight.studio.layout import Layouts, WhatIf
 from roadsight.studio.project import Project
-from roadsight.studio.results.layout import Layouts, WhatIf
 from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
 

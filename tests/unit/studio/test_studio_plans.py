@@ -12,15 +12,21 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
-from roadsight.config.plan_options import PlanOptions
-from roadsight.config.plans import Plan
-from roadsight.io.vector.point_tables import read_points
+from roadsight.config.plans import Plan, PlanOptions
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.vectors import read_polygons
-from roadsight.studio.plans.exports import Export, exported
-from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
-from roadsight.studio.plans.plan_files import about_plans, remove_plan, save_plan
+from roadsight.studio.layout import Layouts
+from roadsight.studio.plan_files import (
+    Barred,
+    Export,
+    PlanBody,
+    Standing,
+    about_plans,
+    exported,
+    remove_plan,
+    save_plan,
+)
 from roadsight.studio.project import Project
-from roadsight.studio.results.layout import Layouts
 from roadsight.studio.site_files import OutdatedError
 from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite

@@ -12,10 +12,10 @@ import yaml
 
 from roadsight.base.errors import InputError
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.triangulate.decided import apply_decisions
+from roadsight.poles.triangulate.site import apply_decisions
+from roadsight.studio import pole_review
+from roadsight.studio.pole_review import Decision, Pictures, review, save_decisions
 from roadsight.studio.project import Project
-from roadsight.studio.results import pole_review
-from roadsight.studio.results.pole_review import Decision, Pictures, review, save_decisions
 from tests.conftest import PROJECT
 from tests.helpers.report_poles import PolesSite
 

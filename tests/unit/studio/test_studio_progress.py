@@ -8,12 +8,20 @@ from typing import get_args
 
 import pytest
 
+from roadsight.studio.evidence_pages import effects_of, frontiers
 from roadsight.studio.project import SiteFolder
-from roadsight.studio.results.evidence_pages import effects_of, frontiers
-from roadsight.studio.run.earlier import earlier_seconds
-from roadsight.studio.run.progress import progress_of, remaining
-from roadsight.studio.run.run_events import TARGETS, causes, is_own, plan, read_events
-from roadsight.studio.run.snakemake_calls import Order, complaint
+from roadsight.studio.run_progress import (
+    TARGETS,
+    Order,
+    causes,
+    complaint,
+    is_own,
+    plan,
+    progress_of,
+    read_events,
+    remaining,
+)
+from roadsight.studio.runs import earlier_seconds
 from snakemake_logger_plugin_roadsight.events import entry
 
 

@@ -11,12 +11,12 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.geometry import cameras
-from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.poles.alignment.published import WINDOW_PX
+from roadsight.studio.drive_views import SiteDrive
 from roadsight.studio.project import Project
-from roadsight.studio.registration.drive import SiteDrive
-from roadsight.studio.registration.registering import (
+from roadsight.studio.registering import (
     Pair,
     PoseBody,
     Registered,
@@ -24,9 +24,10 @@ from roadsight.studio.registration.registering import (
     before_camera,
     image_content,
     points_around,
+    save_baseline,
+    save_correction,
     solve_pairs,
 )
-from roadsight.studio.registration.registration_files import save_baseline, save_correction
 from tests.e2e.studio_project import make_project
 
 
@@ -229,7 +230,7 @@ def test_impossible_poses_are_refused(drive, change):
 def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, folder):
     import cv2
 
-    from roadsight.studio.registration.pictures import lens_for, without_distortion
+    from roadsight.studio.pictures import lens_for, without_distortion
 
     site, key = project.site("drive"), ("40001", 800, 400)
     assert lens_for(site, key) is None

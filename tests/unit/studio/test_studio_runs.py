@@ -15,7 +15,8 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.studio.project import Project
-from roadsight.studio.run.runner import (
+from roadsight.studio.run_progress import Order
+from roadsight.studio.runner import (
     BEGUN,
     BUSY,
     ENDED,
@@ -26,9 +27,7 @@ from roadsight.studio.run.runner import (
     is_held,
     main,
 )
-from roadsight.studio.run.runs import FOLDER, Runs
-from roadsight.studio.run.snakemake_calls import Order
-from roadsight.studio.run.workflows_outside import processes_outside
+from roadsight.studio.runs import FOLDER, Runs, processes_outside
 from tests.helpers.small_workflow import small_project
 
 

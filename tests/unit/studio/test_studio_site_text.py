@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
-from roadsight.studio.site_text import with_value
+from roadsight.studio.site_files import with_value
 
 BLOCK = """\
 # Our road

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.studio.cloud.snapping import REACH_M, snap_to_cloud
+from roadsight.studio.cloud_tiles import REACH_M, snap_to_cloud
 
 
 def ground(rng, density=400, rough_m=0.005):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rural.airborne_scanner import AirborneScanner, Returns, scan_rural
-from roadsight.synthetic.rural.rural_materials import CLOUD_OF_GROUND
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.rural_surface import ground_kinds
+from roadsight_worlds.rendering.images import RuralRenderer
+from roadsight_worlds.rural.airborne_scanner import AirborneScanner, Returns, scan_rural
+from roadsight_worlds.rural.rural_materials import CLOUD_OF_GROUND
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_surface import ground_kinds
 
 SCANNER = AirborneScanner(pulses_per_m2=10.0)
 

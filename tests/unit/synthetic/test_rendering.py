@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
-from roadsight.poles.images.classes import PixelClass
-from roadsight.synthetic.casting import primitives
-from roadsight.synthetic.rendering import rendering_noise
-from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
-from roadsight.synthetic.rendering.rendering_look import drive_look, random_look
-from roadsight.synthetic.rendering.rendering_training import random_training_views
-from roadsight.synthetic.rural.rural_materials import Material
-from roadsight.synthetic.rural.rural_mesh import MeshBuilder
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight.poles.images.kinds import PixelClass
+from roadsight_worlds.casting import primitives
+from roadsight_worlds.rendering import rendering_noise
+from roadsight_worlds.rendering.images import Camera, Finish, RuralRenderer
+from roadsight_worlds.rendering.rendering_look import drive_look, random_look
+from roadsight_worlds.rendering.rendering_training import random_training_views
+from roadsight_worlds.rural.rural_materials import Material
+from roadsight_worlds.rural.rural_mesh import MeshBuilder
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives, shots
 from tests.helpers.kernels import from_python
 
 LOOK, FINISH = random_look(np.random.default_rng(0)), Finish()

@@ -9,14 +9,14 @@ from pyproj import Transformer
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.synthetic.rural.rural_ground import SIDE_ROAD
-from roadsight.synthetic.rural.rural_line import random_line
-from roadsight.synthetic.rural.rural_materials import CLOUD_OF_GROUND, Ground, Material
-from roadsight.synthetic.rural.rural_mesh import MeshBuilder, face_normals
-from roadsight.synthetic.rural.rural_road import EPSG, build_rural
-from roadsight.synthetic.rural.rural_surface import ground_kinds
-from roadsight.synthetic.rural.rural_truth import rural_layers
-from roadsight.synthetic.rural.videolog_tables import pole_table
+from roadsight_worlds.rural.rural_ground import SIDE_ROAD
+from roadsight_worlds.rural.rural_line import random_line
+from roadsight_worlds.rural.rural_materials import CLOUD_OF_GROUND, Ground, Material
+from roadsight_worlds.rural.rural_mesh import MeshBuilder, face_normals
+from roadsight_worlds.rural.rural_road import EPSG, build_rural
+from roadsight_worlds.rural.rural_surface import ground_kinds
+from roadsight_worlds.rural.rural_truth import rural_layers
+from roadsight_worlds.rural.videolog_tables import pole_table
 
 
 @pytest.fixture(scope="module")

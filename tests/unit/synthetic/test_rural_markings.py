@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from roadsight.base.kernels import compiled
-from roadsight.base.sections.sample import RuralScene
-from roadsight.synthetic.rural.rural_ground import LANE_M
-from roadsight.synthetic.rural.rural_markings import HATCH_M, line_cover
-from roadsight.synthetic.rural.rural_materials import Ground
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.rural_surface import ground_kinds
-from roadsight.synthetic.rural.rural_truth import rural_layers
-from roadsight.synthetic.rural.videolog import random_drives, shots
-from roadsight.synthetic.rural.videolog_tables import pole_table
+from roadsight.base.sections.run import RuralScene
+from roadsight_worlds.rural.rural_ground import LANE_M
+from roadsight_worlds.rural.rural_markings import HATCH_M, line_cover
+from roadsight_worlds.rural.rural_materials import Ground
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_surface import ground_kinds
+from roadsight_worlds.rural.rural_truth import rural_layers
+from roadsight_worlds.rural.videolog import random_drives, shots
+from roadsight_worlds.rural.videolog_tables import pole_table
 
 
 def built(**scene):

@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.io.images.baselines import read_baselines
-from roadsight.io.images.image_shards import ImageShard
-from roadsight.io.images.videolog_shards import JpegShardWriter, write_csv
+from roadsight.io.images.camera_tables import read_baselines
+from roadsight.io.images.image_shards import ImageShard, JpegShardWriter, write_csv
 from roadsight.stages.scene import generate_rural, render_videolog
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives
 
 LENGTH = ["--length-m", "60", "--seed", "2"]
 

@@ -9,12 +9,12 @@ import pytest
 import shapely
 
 from roadsight.base.errors import InputError
-from roadsight.synthetic.casting.alignment import to_plan, to_road
-from roadsight.synthetic.casting.materials import MATERIAL_NAMES, TruthClass
-from roadsight.synthetic.casting.terrain import height_at
-from roadsight.synthetic.highway.highway import build_highway
-from roadsight.synthetic.highway.highway_ground import CrossSection, is_marking
-from roadsight.synthetic.highway.truth import (
+from roadsight_worlds.casting.alignment import to_plan, to_road
+from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass
+from roadsight_worlds.casting.terrain import height_at
+from roadsight_worlds.highway.highway import build_highway
+from roadsight_worlds.highway.highway_ground import CrossSection, is_marking
+from roadsight_worlds.highway.truth import (
     digitised_edges,
     sample_scene,
     surface_at,

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from roadsight.synthetic.casting import primitives as prim
-from roadsight.synthetic.casting.primitives import BOX, CYLINDER, ELLIPSOID, RECTANGLE, TUBE, Bodies
+from roadsight_worlds.casting import primitives as prim
+from roadsight_worlds.casting.primitives import BOX, CYLINDER, ELLIPSOID, RECTANGLE, TUBE, Bodies
 from tests.helpers.kernels import from_python
 
 STEP_M, REACH_M = 1e-3, 12.0

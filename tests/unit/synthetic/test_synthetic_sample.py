@@ -12,8 +12,8 @@ import pytest
 from roadsight.geometry.frames import Frame
 from roadsight.io.vector.vectors import read_layer, read_lines
 from roadsight.stages.scene.generate_sample import TRUTH_DIMENSION, main
-from roadsight.synthetic.highway.highway import EPSG, ORIGIN_M, build_highway
-from roadsight.synthetic.highway.truth import truth_layers
+from roadsight_worlds.highway.highway import EPSG, ORIGIN_M, build_highway
+from roadsight_worlds.highway.truth import truth_layers
 
 FILES = {"cloud": "cloud.laz", "truth": "truth.gpkg", "edges": "edges.geojson"}
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.synthetic.casting.alignment import to_plan, to_road
-from roadsight.synthetic.casting.materials import TruthClass
-from roadsight.synthetic.casting.terrain import height_at
-from roadsight.synthetic.highway.airborne_survey import survey
-from roadsight.synthetic.highway.highway import build_highway
-from roadsight.synthetic.highway.mobile_scanner import MobileScanner, pulses, scan, sweeps_of
-from roadsight.synthetic.highway.returns import LaserModel, measure
-from roadsight.synthetic.highway.truth import surface_at
+from roadsight_worlds.casting.alignment import to_plan, to_road
+from roadsight_worlds.casting.materials import TruthClass
+from roadsight_worlds.casting.terrain import height_at
+from roadsight_worlds.highway.airborne_survey import survey
+from roadsight_worlds.highway.highway import build_highway
+from roadsight_worlds.highway.mobile_scanner import MobileScanner, pulses, scan, sweeps_of
+from roadsight_worlds.highway.returns import LaserModel, measure
+from roadsight_worlds.highway.truth import surface_at
 
 POINTS = 150_000
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.synthetic.casting import simple_scenes as simple
-from roadsight.synthetic.casting.alignment import to_plan
-from roadsight.synthetic.casting.cellgrid import build_grid
-from roadsight.synthetic.casting.materials import TruthClass
-from roadsight.synthetic.casting.primitives import BOX
-from roadsight.synthetic.casting.primitives import ray_body as ray_body_part
-from roadsight.synthetic.casting.scene import NO_TERRAIN, Scene, SceneBuilder, rotation_zyx
-from roadsight.synthetic.casting.terrain import height_at
-from roadsight.synthetic.highway.highway import build_highway
+from roadsight_worlds.casting import simple_scenes as simple
+from roadsight_worlds.casting.alignment import to_plan
+from roadsight_worlds.casting.cellgrid import build_grid
+from roadsight_worlds.casting.materials import TruthClass
+from roadsight_worlds.casting.primitives import BOX
+from roadsight_worlds.casting.primitives import ray_body as ray_body_part
+from roadsight_worlds.casting.scene import NO_TERRAIN, Scene, SceneBuilder, rotation_zyx
+from roadsight_worlds.casting.terrain import height_at
+from roadsight_worlds.highway.highway import build_highway
 from tests.helpers.kernels import from_python
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from roadsight.synthetic.casting import terrain as ground
-from roadsight.synthetic.casting.alignment import Alignment, heading_at, to_plan, to_road
+from roadsight_worlds.casting import terrain as ground
+from roadsight_worlds.casting.alignment import Alignment, heading_at, to_plan, to_road
 from tests.helpers.kernels import from_python
 
 CURVES = [1 / 600, -1 / 80, 0.0, 1e-9]

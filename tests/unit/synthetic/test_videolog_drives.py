@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import attitude_deg, cam_from_world, wrap_deg
 from roadsight.geometry.north import SiteNorth
-from roadsight.synthetic.rural.image_names import image_names
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import (
+from roadsight_worlds.rural.image_names import image_names
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import (
     GpsNoise,
     attitude_of,
     drifting,
@@ -20,7 +20,7 @@ from roadsight.synthetic.rural.videolog import (
     shots,
     vehicle_rotation,
 )
-from roadsight.synthetic.rural.videolog_tables import camera_table, videolog_table
+from roadsight_worlds.rural.videolog_tables import camera_table, videolog_table
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.records.depth_pairs import (
+from roadsight.io.records.depth_maps import (
     STEP_M,
     DepthPairs,
     digest,
@@ -19,13 +19,13 @@ from roadsight.io.records.depth_pairs import (
     write_pairs,
 )
 from roadsight.io.records.tables import write_table
-from roadsight.placement.depth.depth_sensor import RANGES_M, training_sensor
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.depth.unet import RANGES_M, training_sensor
 from roadsight.stages.placement import render_depth_pairs
-from roadsight.training import render_depth_dataset
-from roadsight.training.depth_patches import PATCH_CELLS, random_patches
-from roadsight.training.depth_scenes import highway_site, simple_site
-from roadsight.training.evaluate_depth_network import map_errors, pixel_errors
+from roadsight_training import render_depth_dataset
+from roadsight_training.depth_patches import PATCH_CELLS, random_patches
+from roadsight_training.depth_scenes import highway_site, simple_site
+from roadsight_training.evaluate_depth_network import map_errors, pixel_errors
 
 
 def random_pairs(seed, maps=3, shape=(80, 120)):
@@ -250,8 +250,8 @@ class TestTraining:
         self.torch = pytest.importorskip("torch")
 
     def trained(self, steps=8):
-        from roadsight.training.depth_network import DepthUnet
-        from roadsight.training.train_depth_network import Schedule, train
+        from roadsight_training.depth_network import DepthUnet
+        from roadsight_training.train_depth_network import Schedule, train
 
         self.torch.set_num_threads(1)
         losses = []
@@ -264,7 +264,7 @@ class TestTraining:
         return network, losses
 
     def test_it_repeats_itself_and_the_file_gives_what_the_network_gives(self, tmp_path):
-        from roadsight.training.export import export_network
+        from roadsight_training.export import export_network
 
         files = []
         for name in ("a", "b"):
@@ -277,7 +277,7 @@ class TestTraining:
         assert files[0].read_bytes() == files[1].read_bytes()
 
     def test_the_published_network_has_33_layers(self):
-        from roadsight.training.published_unet import PublishedUnet, layers_of, regression_loss
+        from roadsight_training.published_unet import PublishedUnet, layers_of, regression_loss
 
         network = PublishedUnet(4).eval()
         assert layers_of(network) == 33
@@ -294,7 +294,7 @@ class TestTraining:
         assert float(loss.detach()) == pytest.approx(expected, rel=1e-5)
 
     def test_pairs_are_split_as_published(self):
-        from roadsight.training.published_unet import split_pairs
+        from roadsight_training.published_unet import split_pairs
 
         scenes = [random_pairs(1, maps=12), random_pairs(2, maps=8)]
         parts = split_pairs(scenes, 3)
@@ -308,13 +308,13 @@ class TestTraining:
 
     def test_too_few_pairs_to_test_by_are_refused(self):
         """Else the error on no pairs would be recorded as 0."""
-        from roadsight.training.published_unet import split_pairs
+        from roadsight_training.published_unet import split_pairs
 
         with pytest.raises(InputError, match="3 pairs"):
             split_pairs([random_pairs(1, maps=3)], 3)
 
     def test_the_command_trains_and_tests_the_published_network(self, tmp_path):
-        from roadsight.training import train_depth_network
+        from roadsight_training import train_depth_network
 
         write_pairs(tmp_path / "s.hybrid.npz", random_pairs(1, maps=8))
         files = ["--data", str(tmp_path), "--truth", "hybrid", "--shape", "published"]
@@ -329,7 +329,7 @@ class TestTraining:
         )
 
     def test_the_command_writes_file_and_record(self, tmp_path):
-        from roadsight.training import train_depth_network
+        from roadsight_training import train_depth_network
 
         write_pairs(tmp_path / "s.exact.npz", random_pairs(1))
         out = tmp_path / "out.onnx"
@@ -343,7 +343,7 @@ class TestTraining:
         assert train_depth_network.main([*out_options, "--steps", "0"]) == 2
 
     def test_candidates_are_what_lies_around(self):
-        from roadsight.training.depth_network import candidates
+        from roadsight_training.depth_network import candidates
 
         depth = self.torch.zeros(1, 1, 16, 16)
         depth[..., 4, 4], depth[..., 4, 5] = 0.5, 0.25
@@ -354,7 +354,7 @@ class TestTraining:
         assert not candidates(depth * 0, depth * 0).any()
 
     def test_candidates_are_those_of_a_slow_reference(self, rng):
-        from roadsight.training.depth_network import candidates
+        from roadsight_training.depth_network import candidates
 
         depth = np.where(rng.random((16, 24)) < 0.1, rng.uniform(0.1, 1.0, (16, 24)), 0.0)
         depth[:8, :8] = 0.0

@@ -7,8 +7,8 @@ import pytest
 
 from roadsight.base.texts import read_yaml
 from roadsight.io.images.models import open_model
-from roadsight.io.records.checksums import sha256
-from roadsight.poles.images.classes import PixelClass
+from roadsight.io.records.sources import sha256
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.networks import (
     class_mask,
     downward_trend,
@@ -16,7 +16,7 @@ from roadsight.poles.images.networks import (
     packed_depth,
     tensor_of,
 )
-from roadsight.synthetic.rendering.rendering_training import random_training_view
+from roadsight_worlds.rendering.rendering_training import random_training_view
 from tests.conftest import PROJECT
 
 RESOURCES = PROJECT / "resources"

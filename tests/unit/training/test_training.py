@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.poles.images.classes import PixelClass
-from roadsight.training.augment import Crops, random_batch, with_camera_faults
-from roadsight.training.measures import (
+from roadsight.poles.images.kinds import PixelClass
+from roadsight_training.augment import Crops, random_batch, with_camera_faults
+from roadsight_training.measures import (
     affine_fit,
     confusion,
     correlation,
@@ -16,9 +16,9 @@ from roadsight.training.measures import (
     road_border_errors,
     scores_by_class,
 )
-from roadsight.training.pasted_panels import with_panels
-from roadsight.training.record import update_record
-from roadsight.training.samples import DEPTH_SCALE, Sample, digest, read_samples, write_sample
+from roadsight_training.pasted_panels import with_panels
+from roadsight_training.record import update_record
+from roadsight_training.samples import DEPTH_SCALE, Sample, digest, read_samples, write_sample
 
 NEAR = np.ones((60, 80), bool)
 
@@ -175,7 +175,7 @@ class TestTraining:
     def trained(self, kind):
         from dataclasses import replace
 
-        from roadsight.training.train_networks import TASKS, Schedule, train
+        from roadsight_training.train_networks import TASKS, Schedule, train
 
         self.torch.set_num_threads(1)
         samples = [painted_sample(np.random.default_rng(i)) for i in range(2)]
@@ -187,7 +187,7 @@ class TestTraining:
     @pytest.mark.parametrize("kind", ["classes", "depth"])
     def test_two_runs_give_the_same_file(self, kind, tmp_path):
         pytest.importorskip("onnx")
-        from roadsight.training.export import export_network
+        from roadsight_training.export import export_network
 
         files = []
         for name in ("one.onnx", "other.onnx"):
@@ -200,9 +200,9 @@ class TestTraining:
     @pytest.mark.parametrize("kind", ["classes", "depth"])
     def test_training_can_go_on_from_a_file(self, kind, tmp_path):
         pytest.importorskip("onnx")
-        from roadsight.training.export import export_network
-        from roadsight.training.networks import seeded
-        from roadsight.training.restart import start_from
+        from roadsight_training.export import export_network
+        from roadsight_training.networks import seeded
+        from roadsight_training.restart import start_from
 
         network, _ = self.trained(kind)
         export_network(network, tmp_path / "first.onnx", "output")
@@ -214,7 +214,7 @@ class TestTraining:
             np.testing.assert_allclose(found, expected, atol=1e-4 * float(expected.abs().max()))
 
     def test_depth_loss_knows_no_scale_nor_offset(self):
-        from roadsight.training.losses import depth_loss, normalised
+        from roadsight_training.losses import depth_loss, normalised
 
         truth = self.torch.rand(2, 32, 32, generator=self.torch.Generator().manual_seed(1))
         classes = self.torch.zeros(2, 32, 32, dtype=self.torch.long)
@@ -225,7 +225,7 @@ class TestTraining:
         assert float(depth_loss(-truth, truth, classes)) > 1.0
 
     def test_classes_loss_falls_with_the_right_answer(self):
-        from roadsight.training.losses import classes_loss
+        from roadsight_training.losses import classes_loss
 
         classes = self.torch.randint(0, 13, (2, 16, 16))
         right = self.torch.nn.functional.one_hot(classes, 13).permute(0, 3, 1, 2).float()
@@ -255,7 +255,7 @@ def test_no_sign_is_drawn_where_nothing_can_stand():
 
 def test_pixels_of_small_signs_count_more():
     pytest.importorskip("torch")
-    from roadsight.training.losses import sign_weights
+    from roadsight_training.losses import sign_weights
 
     classes = np.zeros((1, 64, 64), np.int64)
     classes[0, :5, :5] = classes[0, 20:60, 20:60] = PixelClass.SIGN

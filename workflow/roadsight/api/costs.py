@@ -9,9 +9,8 @@ from pathlib import Path
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Run
-from roadsight.evidence.cost_tables import SHIPPED, read_costs
 from roadsight.evidence.costs import Amounts
-from roadsight.evidence.estimate import Estimate
+from roadsight.evidence.estimate import SHIPPED, Estimate, read_costs
 from roadsight.evidence.estimate import estimate as estimate_runs
 
 A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)

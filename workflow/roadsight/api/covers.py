@@ -13,7 +13,7 @@ from scipy import sparse
 from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
-from roadsight.setcover.common.result import HIGHS, OWN
+from roadsight.setcover.common.problem import HIGHS, OWN
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.whole import solve_whole
 

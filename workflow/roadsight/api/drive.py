@@ -13,9 +13,9 @@ import pandas as pd
 from roadsight.api.clouds import Cloud
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
+from roadsight.base.section import validated
 from roadsight.base.sections.poles import Alignment, AlignmentLimits, Calibration
 from roadsight.base.sections.scene import Overlap
-from roadsight.base.validation import validated
 from roadsight.geometry.crs import Unit, counted_in
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.cloud_scan import OVERLAP

@@ -15,10 +15,10 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges, GroundFilter, Pavement
 from roadsight.base.seeds import SEED
 from roadsight.io.vector.vectors import native_features
-from roadsight.scene.edges.splines import outline_edges, spline_line
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.pavement.scan_levels import count_scans
+from roadsight.scene.splines import outline_edges, spline_line
 from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, settled_road
 
 _USUAL = Pavement()

@@ -13,12 +13,12 @@ from roadsight.api.clouds import Points, taken
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
+from roadsight.base.section import validated
 from roadsight.base.sections.sensing import Lidar, Targets
-from roadsight.base.validation import validated
 from roadsight.placement.depth.surfel_lidar import SurfelLidar, lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensor
 from roadsight.placement.sight.sight import Sight, count_beams
-from roadsight.scene.surfels.outliers import in_company
+from roadsight.scene.surfels import in_company
 
 CATALOGUE = Path(__file__).parents[3] / "config" / "sensors.yaml"
 """Sensors by name, with the data sheets that they are from."""

@@ -11,8 +11,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from roadsight.base.section import Section
-from roadsight.base.validation import validated
+from roadsight.base.section import Section, validated
 
 
 def add_settings(

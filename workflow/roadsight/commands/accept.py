@@ -17,7 +17,7 @@ from roadsight.commands.verb import Verb
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.poses import read_tilts
+from roadsight.io.records.placement_tables import read_tilts
 from roadsight.io.records.tables import read_about
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.plans.acceptance import (

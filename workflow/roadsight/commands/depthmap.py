@@ -13,10 +13,10 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import DepthModel, Lidar
 from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.verb import Verb
-from roadsight.io.images.depth_networks import network_for
+from roadsight.io.images.models import network_for
 from roadsight.io.records.atomic import atomic_path
-from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
+from roadsight.placement.depth.unet import model_of_points
 from roadsight.placement.sensors.sensors import load_sensor
 
 _NETWORK = Path(__file__).parents[3] / Lidar().network

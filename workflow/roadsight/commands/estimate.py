@@ -16,9 +16,16 @@ from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.commands.verb import Verb
 from roadsight.config.load import ResolvedSite, load_config, load_site
-from roadsight.evidence.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
 from roadsight.evidence.costs import Amounts
-from roadsight.evidence.estimate import Estimate, estimate
+from roadsight.evidence.estimate import (
+    SHIPPED,
+    CostTable,
+    Estimate,
+    estimate,
+    fit_costs,
+    read_costs,
+    write_costs,
+)
 from roadsight.io.cloud.clouds import read_extent, read_header
 from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.images.videologs import ImageSource

@@ -22,7 +22,7 @@ from roadsight.io.vector.vectors import AREAS, LINES, check_shape, read_lines, w
 from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Roads, road_along
 from roadsight.poles.risk.roadside import Surroundings, geometry_table
-from roadsight.scene.edges.splines import outline_edges, spline_line
+from roadsight.scene.splines import outline_edges, spline_line
 from roadsight.scene.whole import FoundRoad, heights_of
 from roadsight.stages.poles.shared.hazard_layers import GEOMETRY, geometry_lines, rounded
 

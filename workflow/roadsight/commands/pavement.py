@@ -15,7 +15,7 @@ from roadsight.base.sections.scene import Pavement
 from roadsight.base.seeds import SEED
 from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.verb import Verb
-from roadsight.io.vector.known_road import read_seeds, read_track
+from roadsight.io.vector.known import read_seeds, read_track
 from roadsight.scene.whole import FoundRoad
 
 

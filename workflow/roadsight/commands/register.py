@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from roadsight.api.drive import DriveFiles
 from roadsight.base.errors import InputError
 from roadsight.commands.verb import Verb
 from roadsight.geometry.frames import Frame
-from roadsight.io.images.clicked_pairs import read_pairs
+from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.sighting_tables import read_text_table
@@ -21,10 +22,10 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.drive import Place, places_of
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.calibration.baselines import baseline
 from roadsight.poles.calibration.registration import (
     FEWEST_PAIRS,
     Registration,
+    baseline,
     is_flat,
     register_camera,
 )
@@ -139,6 +140,70 @@ def _tell(image: str, own: pd.DataFrame, found: Registration) -> None:
     print(f"{image}: {len(own)} pairs{flat if is_flat(own[['x', 'y', 'z']]) else ''}")
     for (_, row), gap in zip(own.iterrows(), found.residuals_px, strict=True):
         print(f"  pixel {row['u']:.1f}, {row['v']:.1f}: off by {gap:.2f} px")
+
+
+# Clicked pairs of a pixel and a place, as a user's CSV table.
+
+_PLACES = (("x", "y"), ("lon", "lat"), ("longitude", "latitude"))
+"""Names of the columns of a place: in the site's CRS, or in degrees."""
+
+
+def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
+    """Pairs: image, u and v (pixels), x, y, z in local metres; z is NaN where it is left empty.
+
+    Parameters
+    ----------
+    path : CSV with image, pixel_x, pixel_y; x, y in the cloud's CRS or lon, lat; and z in the
+        cloud's vertical unit, where it is known.
+
+    Raises
+    ------
+    InputError : the file cannot be read, lacks a column, or a number is missing or impossible.
+    """
+    table = read_text_table(path)
+    place = next((pair for pair in _PLACES if set(pair) <= set(table.columns)), None)
+    missing = [name for name in ("image", "pixel_x", "pixel_y") if name not in table]
+    if missing or place is None:
+        raise InputError(
+            f"lacks the column {', '.join(missing) or 'x, y or lon, lat'}",
+            where=str(path),
+            found=", ".join(table.columns),
+            allowed="image, pixel_x, pixel_y; x, y or lon, lat; z if known",
+        )
+    numbers = table[["pixel_x", "pixel_y", *place]].apply(pd.to_numeric, errors="coerce")
+    given = numbers.to_numpy(np.float64)
+    height = _heights(path, table)
+    if place[0] == "x":
+        xyz = frame.to_local(np.column_stack([given[:, 2:], height]))
+    elif frame.crs_wkt is None:
+        raise InputError("lon, lat need a cloud with a CRS", where=str(path), hint="give x, y")
+    else:
+        xy = SiteNorth(frame).to_local(given[:, 3], given[:, 2])
+        z = frame.to_local(np.column_stack([np.zeros((len(table), 2)), height]))[:, 2]
+        xyz = np.column_stack([xy, z])
+    wrong = ~np.isfinite(np.column_stack([given[:, :2], xyz[:, :2]])).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            "a number is missing or not finite",
+            where=f"{path}, line {row + 2}",
+            found=table.iloc[row].tolist(),
+        )
+    columns = {"u": given[:, 0], "v": given[:, 1], "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
+    return pd.DataFrame({"image": table["image"].str.strip(), **columns})
+
+
+def _heights(path: str | os.PathLike[str], table: pd.DataFrame) -> np.ndarray:
+    """Heights (n,) as given, NaN where left empty."""
+    if "z" not in table:
+        return np.full(len(table), np.nan)
+    text = table["z"].str.strip()
+    height = pd.to_numeric(text.where(text != ""), errors="coerce").to_numpy(np.float64)
+    wrong = (text != "").to_numpy() & ~np.isfinite(height)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError("z is no number", where=f"{path}, line {row + 2}", found=text.iloc[row])
+    return height
 
 
 VERB = Verb("register", "solve a camera's baseline from clicked pairs", run)

@@ -11,8 +11,12 @@ from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_sightings, write_csv
-from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
-from roadsight.poles.triangulate.nothing import looks_exchanged, reasons_for_none
+from roadsight.poles.triangulate.geographic import (
+    looks_exchanged,
+    reasons_for_none,
+    triangulate_geographic,
+    triangulate_published,
+)
 from roadsight.poles.triangulate.published import PUBLISHED_DISTANCE
 from roadsight.poles.triangulate.rays import UNAIDED, TriangulationSettings
 

@@ -7,8 +7,7 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from roadsight.base.section import Name
-from roadsight.base.sections.conditions import Conditions
-from roadsight.base.sections.placement import Candidates, Cover, Coverage
+from roadsight.base.sections.placement import Candidates, Conditions, Cover, Coverage, Poses
 from roadsight.base.sections.poles import (
     Alignment,
     Calibration,
@@ -25,7 +24,6 @@ from roadsight.base.sections.poles import (
     Videolog,
     Voxels,
 )
-from roadsight.base.sections.poses import Poses
 from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import Edges, Ground, Pavement, Scene
 from roadsight.base.sections.sensing import Lidar, Obstacles, Targets, Tolerance

@@ -9,7 +9,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from roadsight.base.section import Name, Section
-from roadsight.base.sections.sample import Sample
+from roadsight.base.sections.run import Sample
 from roadsight.config.plans import Plan
 from roadsight.geometry.crs import Unit
 

@@ -9,11 +9,9 @@ from typing import Literal
 from pydantic import Field
 
 from roadsight.base.errors import InputError, nearest
-from roadsight.base.section import Section
+from roadsight.base.section import Section, validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
-from roadsight.effects.quantities import PLACEMENT
-from roadsight.effects.quantities_poles import POLES
+from roadsight.effects.quantities import PLACEMENT, POLES
 
 Mode = Literal["auto", "simulate", "skip"]
 Job = Literal["placement", "poles"]

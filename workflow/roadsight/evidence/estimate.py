@@ -2,9 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
-from roadsight.evidence.costs import STEPS, STORED, Amounts, Line, StepCost
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.evidence.costs import (
+    STEPS,
+    STORED,
+    Amounts,
+    Line,
+    Record,
+    StepCost,
+    costs_from_content,
+    costs_to_content,
+    fit,
+    fit_line,
+    held_out,
+    typical_factor,
+)
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.run_records import last_usage
+from roadsight.io.records.tables import read_table
 
 
 @dataclass(frozen=True)
@@ -104,3 +127,170 @@ def _wall_h(steps: list[StepEstimate], cores: int, dag_s: float) -> float:
     work_h = sum(step.core_h for step in steps)
     chain_h = sum(step.job_s for step in steps) / 3600
     return work_h / cores + (1 - 1 / cores) * chain_h + dag_s / 3600
+
+
+# The fitted cost model as a JSON file.
+
+SHIPPED = Path(__file__).resolve().parents[3] / "resources/costs/costs.json"
+
+
+@dataclass(frozen=True)
+class CostTable:
+    """Everything that an estimate rests on.
+
+    Parameters
+    ----------
+    steps : cost of each step. stored : bytes of each kind of result. dag : seconds and MiB of a
+        dry run by the number of jobs. factor : within which two thirds of held-out sites lie.
+    """
+
+    steps: dict[str, StepCost]
+    stored: dict[str, Line]
+    dag: tuple[Line, Line]
+    factor: float
+
+
+def read_costs(path: Path) -> CostTable:
+    """Read a cost model.
+
+    Raises
+    ------
+    InputError : the file is missing or no cost model.
+    """
+    content = read_json(path)
+    try:
+        dag = Line(**content["dag"]["s"]), Line(**content["dag"]["mib"])
+        stored = {kind: Line(**line) for kind, line in content["stored"].items() if kind in STORED}
+        factor = float(content["held_out"]["factor"] or "nan")
+        return CostTable(costs_from_content(content["steps"]), stored, dag, factor)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"is no cost model ({type(error).__name__}: {error})",
+            where=str(path),
+            hint="write one with 'roadsight estimate --fit results/<site> ...'",
+        ) from error
+
+
+def fit_costs(sites: Sequence[Path], dag: tuple[Line, Line]) -> dict[str, Any]:
+    """Content of a cost model fitted on finished sites, with its error on each one held out.
+
+    Raises
+    ------
+    InputError : a folder holds no results, or none of them names a step.
+    """
+    records = [record for site in sites for record in read_records(site)]
+    if not records:
+        raise InputError("no benchmark files", where=", ".join(map(str, sites)))
+    amounts = {site.name: read_amounts(site) for site in sites}
+    stored = {site.name: read_stored(site) for site in sites}
+    ratios = held_out(records)
+    return {
+        "sites": {name: asdict(found) for name, found in amounts.items()},
+        "steps": costs_to_content(fit(records)),
+        "stored": {kind: asdict(line) for kind, line in _fit_stored(amounts, stored).items()},
+        "dag": {"s": asdict(dag[0]), "mib": asdict(dag[1])},
+        "held_out": {"predicted_by_actual": ratios, "factor": typical_factor(ratios.values())},
+    }
+
+
+def _fit_stored(amounts: dict[str, Any], stored: dict[str, dict[str, int]]) -> dict[str, Line]:
+    """Bytes of each kind of result, from the sites that have any."""
+    lines = {}
+    for kind, step in STORED.items():
+        sites = [name for name in amounts if stored[name][kind] > 0]
+        if sites:
+            units = [amounts[name].units(step.driver) for name in sites]
+            lines[kind] = fit_line([1.0] * len(sites), units, [stored[s][kind] for s in sites])
+    return lines
+
+
+def write_costs(path: Path, content: dict[str, Any]) -> None:
+    """Write a cost model; an error that cannot be told (no other site to hold out) is null."""
+    held = content["held_out"]
+    factor = held["factor"] if math.isfinite(held["factor"]) else None
+    write_json(path, content | {"held_out": held | {"factor": factor}})
+
+
+# What finished runs needed, read from their results, logs and benchmark files.
+
+_SIDES = ("left_path", "right_path")
+"""Columns of side views, which are images of their own."""
+
+
+def read_amounts(site: Path) -> Amounts:
+    """What the run of a site worked through, from its results.
+
+    Raises
+    ------
+    InputError : it has none, or one cannot be read.
+    """
+    frame = site / "scene/frame.json"
+    if not frame.is_file():
+        raise InputError("holds no results of a site", where=str(site), allowed="results/<site>")
+    rounds = sorted((site / "placement").glob("round-*"))
+    masks = list((site / "poles/masks").glob("*.zip"))
+    first = list((site / "placement/round-0/depth").glob("*/*.parquet"))
+    sensors = {path.parent.name for path in first}
+    candidates = [len(read_table(r / "candidates.parquet", ["candidate"])) for r in rounds]
+    targets = site / "placement/targets.parquet"
+    return Amounts(
+        points_m=read_json(frame)["points"] / 1e6,
+        candidates=sum(candidates),
+        sensors=len(sensors),
+        targets=len(read_table(targets)) if targets.is_file() else 0,
+        plans=len(list((site / "placement").glob("*/solution.json"))),
+        images=_images(site / "poles/frames.parquet"),
+        shards=max(len(masks), len(first) // max(len(sensors), 1), 1),
+        rounds=max(len(rounds), 1),
+    )
+
+
+def _images(frames: Path) -> int:
+    """Images of a videolog with their side views."""
+    if not frames.is_file():
+        return 0
+    table = read_table(frames)
+    return len(table) + sum(int((table[name] != "").sum()) for name in _SIDES if name in table)
+
+
+def read_records(site: Path) -> list[Record]:
+    """One record for each step of a site.
+
+    Parameters
+    ----------
+    site : ``results/<site>``; logs are sought in ``logs/<site>`` beside ``results``.
+    """
+    amounts = read_amounts(site)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for file in sorted((site / "benchmarks").rglob("*.tsv")):
+        if file.stem in STEPS:
+            found.setdefault(file.stem, []).append(_usage(site, file))
+    records = []
+    for step, usages in found.items():
+        cpu_s = sum(cpu for cpu, _ in usages)
+        peaks = [peak for _, peak in usages if peak > 0]
+        units = amounts.units(STEPS[step].driver)
+        peak = max(peaks, default=float("nan"))
+        records.append(Record(site.name, step, len(usages), units, cpu_s, peak))
+    return records
+
+
+def _usage(site: Path, benchmark: Path) -> tuple[float, float]:
+    """Processor seconds and peak MiB of a job: by its log, else by its benchmark file."""
+    inside = benchmark.relative_to(site / "benchmarks").with_suffix(".log")
+    usage = last_usage(site.parents[1] / "logs" / site.name / inside)
+    if usage is not None:
+        return usage.cpu_s, usage.peak_mib
+    row = pd.read_csv(benchmark, sep="\t").apply(pd.to_numeric, errors="coerce").iloc[0]
+    return float(row.get("cpu_time", 0.0) or 0.0), float(row.get("max_rss", 0.0) or 0.0)
+
+
+def read_stored(site: Path) -> dict[str, int]:
+    """Bytes of each kind of result of a site, by the deepest folder of `STORED` that holds it."""
+    sizes = dict.fromkeys(STORED, 0)
+    for path in site.rglob("*"):
+        name = path.relative_to(site).as_posix()
+        kinds = [kind for kind in STORED if name.startswith(f"{kind}/")]
+        if kinds and path.is_file():
+            sizes[max(kinds, key=len)] += path.stat().st_size
+    return sizes

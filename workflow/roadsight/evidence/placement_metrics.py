@@ -12,18 +12,16 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
-from roadsight.evidence.exact_ranges import share_wrong
-from roadsight.evidence.posed_truth import sees_in_pose
+from roadsight.evidence.exact_highway import sees_in_pose, share_wrong
 from roadsight.evidence.results import Results
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import read_detections
-from roadsight.io.records.poses import read_poses
+from roadsight.io.records.placement_tables import read_detections, read_poses
 from roadsight.io.records.tables import read_table
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import room_for, shape_of
-from roadsight.placement.sight.wanted import beams_wanted
+from roadsight.placement.sight.sight import beams_wanted
 
 _MAPS = 6
 """Depth maps that are compared with exact ones; more would take longer to cast."""

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from roadsight.base.sections.sample import Sample
+from roadsight.base.sections.run import Sample
 from roadsight.config.schema import Settings
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.placement.sensors.sensors import AnySensor
-from roadsight.synthetic.highway.highway import build_highway
+from roadsight_worlds.highway.highway import build_highway
 
 
 @dataclass(frozen=True)

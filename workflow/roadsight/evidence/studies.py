@@ -10,9 +10,8 @@ from pydantic import Field, model_validator
 
 from roadsight.base.engines import is_usable
 from roadsight.base.errors import InputError
-from roadsight.base.section import Count, Name, Section
+from roadsight.base.section import Count, Name, Section, validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
 from roadsight.config.load import ResolvedSite, load_config, load_site, load_sites, merged
 from roadsight.config.schema import Config, Settings
 from roadsight.evidence.metrics import METRICS

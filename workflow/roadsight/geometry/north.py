@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj, Transformer
 
 from roadsight.base.arrays import Floats
@@ -73,3 +75,26 @@ class SiteNorth:
             return np.empty(native.shape[:-1])
         longitude, latitude = self._geodetic.transform(native[..., 0], native[..., 1])
         return np.asarray(getattr(self._projection.get_factors(longitude, latitude), name), float)
+
+
+# Places and directions of the local frame as maps and crews name them.
+
+
+def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> Floats | None:
+    """WGS 84 degrees (n, 2) of local positions (n, 2); None for a site without CRS."""
+    if frame.crs_wkt is None:
+        return None
+    x, y = frame.to_native(xy_m).T
+    return np.column_stack(_to_wgs84(frame.crs_wkt).transform(x, y))
+
+
+@lru_cache(maxsize=4)
+def _to_wgs84(crs_wkt: str) -> Transformer:
+    """Transformer from the horizontal part of a CRS; made once, for it takes milliseconds."""
+    crs = horizontal(CRS.from_wkt(crs_wkt))
+    return Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+
+
+def bearing_deg(yaw_deg: float) -> float:
+    """Bearing clockwise from grid north of an angle counter-clockwise from east, [0, 360)."""
+    return (90.0 - yaw_deg) % 360.0

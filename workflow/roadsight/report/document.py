@@ -4,31 +4,34 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import longitudes_latitudes
 from roadsight.io.records.run_records import RunRecord
 from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
-from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
+from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES, template_environment
 from roadsight.report.packing import unpack
-from roadsight.report.paper.plan_map import plan_sketch
-from roadsight.report.parameters import figure_rows, settings_asked_for
+from roadsight.report.parameters import effect_rows, figure_rows, settings_asked_for
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles.poles_view import poles_cards, poles_view
-from roadsight.report.result_files import ResultFile
-from roadsight.report.site.effects import effect_rows
+from roadsight.report.printed_map import plan_sketch
 from roadsight.report.site.page import FORMAT
-from roadsight.report.site.place import map_place
 from roadsight.report.site.plan_view import best_plan, plan_views
-from roadsight.report.templates import template_environment
 
 _ROWS_SHOWN = 100
 """Rows of a long table that are shown before a reader asks for the rest."""
+
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
+
 _BELOW = {
     "orthophoto": "Orthophoto",
     "relief": "Terrain relief",
@@ -38,6 +41,7 @@ _BELOW = {
     "plain": "Nothing",
 }
 """Backgrounds of the map and their titles, in the order in which they are offered."""
+
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
 
@@ -364,3 +368,126 @@ def _sections(
 
 def _unit_sign(name: str) -> str:
     return _UNIT_SIGNS.get(name, name)
+
+
+# Where a map is: what turns its local metres into native coordinates and degrees.
+
+_SIDE = 5
+"""Places a side at which the projection is asked; six coefficients need no more."""
+
+_LEAST_SPAN_M = 100.0
+"""The box is at least so wide, so that the coefficients are determined."""
+
+
+def map_place(frame: Frame, bounds_m: ArrayLike, unit: str) -> dict[str, Any]:
+    """What a page needs to tell the coordinates at a place of its map.
+
+    Longitude and latitude are polynomials of second degree of the local x and y over a box: within
+    10 km they differ from the projection by less than a millimetre for each kilometre.
+
+    Parameters
+    ----------
+    bounds_m : west, south, east, north of what the map shows, local metres.
+    unit : sign of the native horizontal unit.
+
+    Returns
+    -------
+    ``origin`` (native units), ``unit_m``, ``unit``; ``centre_m``, ``span_m`` and ``lon_lat``, two
+    rows of coefficients of 1, u, v, u², uv, v² with u, v = (x, y - centre) / span, or None for a
+    site without CRS
+    """
+    west, south, east, north = np.asarray(bounds_m, np.float64)
+    centre = np.array([(west + east) / 2, (south + north) / 2])
+    span = max(east - west, north - south, _LEAST_SPAN_M)
+    u, v = (part.ravel() for part in np.meshgrid(*[np.linspace(-0.5, 0.5, _SIDE)] * 2))
+    degrees = longitudes_latitudes(frame, centre + span * np.column_stack([u, v]))
+    return {
+        "origin": [float(value) for value in frame.origin[:2]],
+        "unit_m": frame.unit_m,
+        "unit": unit,
+        "centre_m": centre.tolist(),
+        "span_m": float(span),
+        "lon_lat": None if degrees is None else _fitted(u, v, degrees).T.tolist(),
+    }
+
+
+def _fitted(u: Floats, v: Floats, degrees: Floats) -> Floats:
+    """Coefficients (6, 2) by least squares."""
+    terms = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v])
+    return np.asarray(np.linalg.lstsq(terms, degrees, rcond=None)[0])
+
+
+# The files of a site that people open, with their sizes and what opens them.
+
+FILES = (
+    ("report.pdf", "the report on paper", "any PDF reader"),
+    ("stakeout.csv", "where to set the sensors", "a spreadsheet, a total station"),
+    ("gis/*.qgs", "all layers, grouped and styled", "QGIS"),
+    ("gis/*.gpkg", "all layers in one file", "QGIS, ArcGIS, geopandas"),
+    ("gis/*.kml", "sensors, poles and road on an online map", "Google Earth and other online maps"),
+    ("gis/*.dxf", "drawing with layers, blocks and texts", "any CAD"),
+    ("scene/dem.tif", "terrain model; band 2 marks measured cells", "any GIS"),
+    ("scene/pavement.gpkg", "pavement", "any GIS"),
+    ("placement/edges.gpkg", "road edges", "any GIS"),
+    ("placement/unexamined.gpkg", "pavement for which nothing is proven", "any GIS"),
+    ("placement/*/solution.gpkg", "sensors and targets of a plan", "any GIS"),
+    ("placement/*/solution.json", "solution of a plan with its bound", "programs"),
+    ("placement/*/obstacles.gpkg", "what stands in the way", "any GIS"),
+    ("placement/objects.gpkg", "objects of the scene by their names", "any GIS"),
+    ("placement/*/removals.json", "objects in the way, and sensors saved without them", "programs"),
+    ("placement/*/data.json", "hand-over, data rates and margins of a plan", "programs"),
+    ("placement/*/data.gpkg", "hand-over and data of a plan's sensors", "any GIS"),
+    ("placement/*/tolerance.gpkg", "targets that a sensor's small changes lose", "any GIS"),
+    ("placement/*/tolerance.json", "what small changes of a sensor lose", "programs"),
+    ("placement/round-*/candidates.parquet", "candidates", "programs (pandas)"),
+    ("placement/*/scans.laz", "what the sensors would see", "CloudCompare, QGIS"),
+    ("poles/poles.gpkg", "poles, their hazard, cross-sections, road geometry", "any GIS"),
+    ("poles/poles.csv", "poles", "a spreadsheet"),
+    ("poles/poles.geojson", "poles", "any GIS, web maps"),
+    ("poles/placed.gpkg", "poles, sight lines and ellipses before hazard was rated", "any GIS"),
+    ("poles/top.tif", "class, height and share of road of the highest voxels", "any GIS"),
+    ("poles/pictures.zip", "a picture of each pole", "any picture viewer"),
+    ("poles/hazard.csv", "hazard of the poles", "a spreadsheet"),
+    ("poles/road_geometry.csv", "radius, grade, cross-slope, width by station", "a spreadsheet"),
+    ("poles/road_edges.gpkg", "edges of the road in the LiDAR", "any GIS"),
+    ("scene/frame.json", "reference system, local origin, inputs, contradictions", "programs"),
+    ("run.json", "when, from what code and in what time it was computed", "programs"),
+    ("effects.json", "effects simulated or skipped, and why", "programs"),
+    ("summary.json", "all of it in numbers", "programs"),
+)
+"""Pattern within the site's folder, what it holds, what opens it."""
+
+_STEPS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+
+
+@dataclass(frozen=True)
+class ResultFile:
+    """One file. path : from the report. size : for people. about, opens : words."""
+
+    path: str
+    size: str
+    about: str
+    opens: str
+
+
+def result_files(results: Path, site: str) -> Sequence[ResultFile]:
+    """Files of a site that there are, in the order of `FILES`.
+
+    Parameters
+    ----------
+    results : folder in which the report and the sites' folders lie.
+    """
+    return [
+        ResultFile(str(path.relative_to(results)), size_text(path.stat().st_size), about, opens)
+        for pattern, about, opens in FILES
+        for path in sorted((results / site).glob(pattern))
+    ]
+
+
+def size_text(size: int) -> str:
+    """Bytes as people say them: ``12 kB``, ``3.4 MB``."""
+    for step, unit in _STEPS:
+        if size >= step:
+            value = size / step
+            return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"
+    return f"{size} bytes"

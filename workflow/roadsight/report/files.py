@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import resources
+
+import jinja2
 
 _FOLDERS = {".j2": "templates", ".css": "styles", ".js": "scripts"}
 
@@ -18,6 +20,7 @@ def read_assets(names: Iterable[str]) -> dict[str, str]:
 
 
 STYLES = ("base.css", "parts.css", "views.css", "poles.css")
+
 SCRIPTS = (
     "data.js",
     "map_tools.js",
@@ -33,6 +36,7 @@ SCRIPTS = (
     "poles.js",
     "main.js",
 )
+
 TEMPLATES = (
     "report.html.j2",
     "site.html.j2",
@@ -51,5 +55,20 @@ TEMPLATES = (
     "poles_results.html.j2",
     "common.html.j2",
 )
+
 ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
 """Names of the files that `render_report` needs."""
+
+
+# How all pages fill their templates.
+
+
+def template_environment(templates: Mapping[str, str]) -> jinja2.Environment:
+    """Environment of templates by name, which escapes what it is given and misses nothing."""
+    return jinja2.Environment(
+        loader=jinja2.DictLoader(dict(templates)),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from roadsight.base.sections import poles
 from roadsight.config.schema import Settings
-from roadsight.report.wording import label, lower_first, quantity, unit
+from roadsight.report.wording import label, lower_first, number, percent, quantity, seconds, unit
 from roadsight.scene.classes import CLASS_NAMES
 
 
@@ -114,3 +114,41 @@ def _about(path: tuple[str, ...]) -> str:
     model = Settings if len(path) == 1 else _section(path[0])
     field = model.model_fields.get(path[-1])
     return "" if field is None else field.description or ""
+
+
+# The table of physical effects: which were simulated, which were skipped, and why.
+
+_UNITS = {"deg": "°", "m2": " m²"}
+"""Units as people write them, where plain text has others."""
+
+
+def effect_rows(effects: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of the table, simulated effects first, each group in the order of its names.
+
+    Parameters
+    ----------
+    effects : ``effects`` of summary.json, decisions by name.
+    """
+    rows = [_row(name, about) for name, about in sorted(effects.items())]
+    return sorted(rows, key=lambda row: not row["simulated"])
+
+
+def _row(name: str, about: dict[str, Any]) -> dict[str, Any]:
+    unit = _UNITS.get(about["unit"], f" {about['unit']}" if about["unit"] else "")
+    quantity = str(about["quantity"])
+    return {
+        "effect": label(name),
+        "job": about["job"],
+        "simulated": about["decision"] == "simulate",
+        "quantity": quantity[:1].upper() + quantity[1:],
+        "value": f"{_figure(about['value'])}{unit}",
+        "threshold": f"{_figure(about['threshold'])}{unit}",
+        "reason": about["reason"],
+        "change": percent(about["expected_change"]),
+        "seconds": seconds(about["expected_seconds"]),
+    }
+
+
+def _figure(value: float) -> str:
+    """Three digits that count."""
+    return number(float(f"{value:.3g}"))

@@ -19,7 +19,7 @@ from roadsight.base.sections.scene import Ground, GroundClasses, GroundFilter, P
 from roadsight.base.seeds import SEED
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
-from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.fpfh import describe_ground, fit_smoothness, is_smooth
 from roadsight.scene.pavement.hidden_ground import to_what_stands
 from roadsight.scene.pavement.outline import (
     inside,
@@ -34,9 +34,7 @@ from roadsight.scene.pavement.road_surface import (
     find_road,
     road_points,
 )
-from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.profile import count_cells, density
-from roadsight.scene.spacing import plan_spacing_m, uses_intensity
+from roadsight.scene.profile import count_cells, density, plan_spacing_m, uses_intensity
 from roadsight.scene.terrain.ground_settings import ground_settings_for
 from roadsight.scene.terrain.terrain import Bounds, TerrainModel, coarse_of_tiles, label_ground
 

@@ -9,25 +9,29 @@ import os
 import pickle
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from roadsight.base.doubts import Doubt, by_severity, refuse
 from roadsight.base.errors import InputError
 from roadsight.base.options import add_options, called
-from roadsight.io.records.atomic import written
-from roadsight.io.records.usage import own_usage
+from roadsight.io.records.atomic import write_json, written
+from roadsight.io.records.run_records import own_usage
 
 log = logging.getLogger("roadsight")
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing fails with where there is no room: on the disk, in a quota, for so large a file."""
+
 _CHAPTERS = ("sample", "scene", "placement", "poles")
 """Folders of the results of a site, ``results/<site>/<chapter>``, which rules give relatively."""
+
 _TERMINATED = 128 + signal.SIGTERM
 """Exit code of what a signal ended, as shells have it."""
 
@@ -185,3 +189,56 @@ def _check_unchanged(before: dict[Path, tuple[int, int]]) -> None:
     for path, state in before.items():
         if path not in written and not (path.is_file() and _state(path) == state):
             raise InputError("changed while it was read", where=str(path), hint="run again")
+
+
+# How stages tell what their answers rest on.
+
+_LEVEL = {"note": logging.INFO, "doubt": logging.WARNING, "refused": logging.ERROR}
+
+
+def tell(
+    doubts: Sequence[Doubt], path: str | os.PathLike[str], where: str, log: logging.Logger
+) -> None:
+    """Log doubts and write them for the summary; a refusal ends the run and writes nothing.
+
+    Raises
+    ------
+    InputError : one of them is a refusal.
+    """
+    ordered = by_severity(doubts)
+    for doubt in ordered:
+        beside = "" if doubt.limit is None else f" (limit {doubt.limit})"
+        found = "" if doubt.measured is None else f": {doubt.measured}{beside}"
+        log.log(_LEVEL[doubt.severity], "%s: %s%s", doubt.severity, doubt.message, found)
+    refuse(ordered, where)
+    write_json(path, [doubt.to_dict() for doubt in ordered])
+
+
+def keep(doubts: Sequence[Doubt], path: str | os.PathLike[str]) -> None:
+    """Write doubts that are logged already for the summary."""
+    write_json(path, [doubt.to_dict() for doubt in by_severity(doubts)])
+
+
+# Progress of long loops in the log.
+
+Item = TypeVar("Item")
+
+_SECONDS = 5.0
+"""Least time between two lines of the log."""
+
+
+def logged(items: Iterable[Item], total: int, log: logging.Logger, what: str) -> Iterator[Item]:
+    """Pass items on; every few seconds say how many are done and how long the rest will take.
+
+    Parameters
+    ----------
+    total : number of items. what : their name in the plural.
+    """
+    start = last = time.monotonic()
+    for done, item in enumerate(items, start=1):
+        yield item
+        now = time.monotonic()
+        if now - last >= _SECONDS or done == total:
+            last = now
+            left_s = (now - start) / done * (total - done)
+            log.info("%d of %d %s, %.0f s left", done, total, what, left_s)

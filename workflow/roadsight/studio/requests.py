@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from flask import request
 from pydantic import BaseModel, ValidationError
@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from roadsight.base.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+
 _JSON = "application/json"
 
 
@@ -35,3 +36,13 @@ def body(model: type[Model]) -> Model:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"])) or "request"
         raise InputError(first["msg"], where=place, found=first.get("input")) from error
+
+
+# What forms of the studio ask for, as the schemas that check it have it.
+
+
+def field_of(section: type[BaseModel], name: str) -> dict[str, Any]:
+    """Description, type, range, pattern and choices of a field, as JSON schema has them."""
+    told: dict[str, Any] = section.model_json_schema()["properties"][name]
+    kinds = [kind for kind in told.pop("anyOf", ()) if kind["type"] != "null"]
+    return told | (kinds[0] if kinds else {})

@@ -5,7 +5,7 @@ OUTPUTS          results/{site}/placement/effects/: rain, fog, reflectivity, lan
                  results/{site}/placement/round-*/tilts.parquet
 """
 
-from roadsight.base.sections.conditions import Traffic
+from roadsight.base.sections.placement import Traffic
 
 
 rule tilt_mounts:

@@ -1,6 +1,6 @@
 """Helpers of the placement rules: plans, sensors, rounds and shards."""
 
-from roadsight.base.validation import check_path
+from roadsight.base.section import check_path
 from roadsight.placement.sensors.light import wavelength_nm
 from roadsight.placement.sensors.sensors import what_it_sees
 

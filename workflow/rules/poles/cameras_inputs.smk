@@ -7,7 +7,7 @@ from roadsight.io.images.videolog_files import (
     dealt_images,
     videolog_images,
 )
-from roadsight.synthetic.rural.image_names import image_names
+from roadsight_worlds.rural.image_names import image_names
 
 
 def aligns(wildcards):

@@ -4,7 +4,7 @@ from roadsight.effects.catalogue import load_catalogue
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.planner import plan
 from roadsight.io.records.atomic import read_json
-from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.images.videolog_files import posed_share
 from roadsight.placement.sensors.sensors import define_sensor
 from snakemake.exceptions import IncompleteCheckpointException

@@ -3,7 +3,7 @@
 OUTPUTS          results/{site}/sample/: cloud, truth, edges; or cloud, truth, videolog with images
 """
 
-from roadsight.base.sections.sample import (
+from roadsight.base.sections.run import (
     HighwayScene,
     RuralLenses,
     RuralScene,

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from shapely import LineString, MultiPolygon, Point, box
 
-from roadsight.placement.candidates.positions import near_gaps, positions_along
+from roadsight.placement.candidates.candidates import near_gaps, positions_along
 
 ROAD = MultiPolygon([box(0, 0, 100, 10)])
 COLUMNS = {"key", "x", "y", "yaw_deg", "edge", "station_m", "mount"}

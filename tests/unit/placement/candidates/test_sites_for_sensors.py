@@ -13,10 +13,10 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Candidates
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.mount_files import read_mounts
+from roadsight.io.vector.known import read_mounts
 from roadsight.io.vector.vectors import write_geojson
 from roadsight.placement.candidates.candidates import stack_candidates
-from roadsight.placement.candidates.sites_for_sensors import outside_zones, positions_on_poles
+from roadsight.placement.candidates.mounting import outside_zones, positions_on_poles
 from roadsight.stages.placement import place_candidates
 from tests.helpers.report_site import ReportSite
 

@@ -8,12 +8,11 @@ import pytest
 from scipy import sparse
 
 from roadsight.geometry.frames import Frame
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.placement.candidates.siting import snapped
-from roadsight.placement.plans.choices import choices_of
+from roadsight.placement.plans.plan_problem import choices_of
 from roadsight.placement.sensors.poses import Turn, pose_name
-from roadsight.studio.plans.plan_bodies import Standing
-from roadsight.studio.plans.plan_files import write_standing
+from roadsight.studio.plan_files import Standing, write_standing
 
 FRAME = Frame((458000.0, 5428000.0, 110.0))
 TURNS = [Turn(yaw, pitch, 0.0) for yaw in (-170.0, 0.0, 45.0, 170.0) for pitch in (-20.0, -5.0)]

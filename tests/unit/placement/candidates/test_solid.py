@@ -8,12 +8,16 @@ import pytest
 from scipy.spatial import cKDTree
 
 from roadsight.base.sections.placement import Candidates
-from roadsight.placement.candidates.candidates import stack_candidates
-from roadsight.placement.candidates.solid import REACH_M, Surroundings, has_measured_ground
-from roadsight.synthetic.casting.alignment import heading_at, plan_point
-from roadsight.synthetic.casting.materials import TruthClass
-from roadsight.synthetic.highway.highway import build_highway
-from roadsight.synthetic.highway.mobile_scanner import scan
+from roadsight.placement.candidates.candidates import (
+    REACH_M,
+    Surroundings,
+    has_measured_ground,
+    stack_candidates,
+)
+from roadsight_worlds.casting.alignment import heading_at, plan_point
+from roadsight_worlds.casting.materials import TruthClass
+from roadsight_worlds.highway.highway import build_highway
+from roadsight_worlds.highway.mobile_scanner import scan
 
 SETTINGS = Candidates(height_step_m=1.0)
 

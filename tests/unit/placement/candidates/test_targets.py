@@ -4,15 +4,13 @@ import pytest
 from shapely import LineString, MultiPolygon, box
 
 from roadsight.base.errors import InputError
-from roadsight.placement.candidates.examined import (
+from roadsight.placement.candidates.targets import (
     at_least_inside,
     examined_areas_m2,
-    road_within,
-)
-from roadsight.placement.candidates.targets import (
     headings_along,
     place_targets,
     points_needed,
+    road_within,
 )
 
 

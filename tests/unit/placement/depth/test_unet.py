@@ -11,26 +11,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
-from roadsight.io.images.depth_networks import DepthNetwork
-from roadsight.io.records.checksums import sha256
-from roadsight.io.records.depth_pairs import stack_pairs
-from roadsight.placement.depth.depth_filling import fill_linearly
+from roadsight.io.images.models import DepthNetwork
+from roadsight.io.records.depth_maps import stack_pairs
+from roadsight.io.records.sources import sha256
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.depth.models import model_of_points
-from roadsight.placement.depth.normalising import MULTIPLE_CELLS, normalised
 from roadsight.placement.depth.unet import (
     HALO_CELLS,
+    MULTIPLE_CELLS,
     TILE_CELLS,
+    fill_linearly,
     fine_sensor,
     grid_sensor,
+    model_of_points,
+    normalised,
     on_beams,
     refined,
     unet_depth,
     unet_mask_depth,
 )
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
-from roadsight.training.depth_scenes import simple_site
-from roadsight.training.evaluate_depth_network import map_errors, pixel_errors
+from roadsight_training.depth_scenes import simple_site
+from roadsight_training.evaluate_depth_network import map_errors, pixel_errors
 from tests.conftest import PROJECT
 
 ROOT = PROJECT

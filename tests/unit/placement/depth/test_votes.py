@@ -19,9 +19,9 @@ from roadsight.placement.depth.votes import (
 )
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.spinning import Sensor
-from roadsight.scene.surfels.samples import Samples, build_samples
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import coarsen, sum_moments
+from roadsight.scene.samples import Samples, build_samples
+from roadsight.scene.surfels import build_surfels
+from roadsight.scene.voxel_planes import coarsen, sum_moments
 
 AT = np.array([0.0, 0.0, 0.0])
 SENSOR = Sensor(

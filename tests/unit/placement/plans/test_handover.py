@@ -14,7 +14,7 @@ from roadsight.placement.plans.handover import (
     stations_m,
 )
 from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.report.site.data_view import data_view
+from roadsight.report.site.plan_view import data_view
 
 
 def test_handover_counts_targets_by_sensors():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadsight.placement.plans.margins import dark_range_m, distances_m, margins, ranges_m
+from roadsight.placement.plans.handover import dark_range_m, distances_m, margins, ranges_m
 from roadsight.placement.sensors.sensors import Radar, Sensor
 
 SENSOR = Sensor(elevations_deg=(0, 1), range_m=120, range_10_m=40)

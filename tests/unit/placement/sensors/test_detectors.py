@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.placement.depth.scanning import rosette_directions
 from roadsight.placement.sensors.light import contrast_range_m
 from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
-from roadsight.placement.sensors.rasters import rosette_raster
-from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.rays import beam_directions, rosette_raster
 from roadsight.placement.sensors.sensors import Camera, Radar, Rosette, Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.detectors import Criteria, detector_of
@@ -19,6 +17,7 @@ from roadsight.placement.sight.footprints import count_shared_hits
 from roadsight.placement.sight.kinds import Cylinder
 from roadsight.placement.sight.posed import Panorama, scene_range_m
 from roadsight.placement.sight.sight import Sight
+from roadsight.stages.placement.render_scans import rosette_directions
 from tests.helpers.analytic_scene import HEIGHT_M, RADIUS_M, Trace, panorama_of, scene_ranges
 
 ORIGIN = np.array([1.0, -2.0, 6.0])

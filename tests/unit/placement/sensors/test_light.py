@@ -10,12 +10,14 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from roadsight.base.errors import InputError
-from roadsight.placement.sensors.earth import EARTH_RADIUS_M, REFRACTION, rise_m
 from roadsight.placement.sensors.light import (
+    EARTH_RADIUS_M,
+    REFRACTION,
     fog_extinction_per_m,
     rain_extinction_per_m,
     range_in_air_m,
     reflectivity_range_m,
+    rise_m,
 )
 from roadsight.placement.sensors.sensors import Sensor
 

@@ -10,8 +10,8 @@ import pytest
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.scene.surfels.surfels import Surfels, build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.scene.surfels import Surfels, build_surfels
+from roadsight.scene.voxel_planes import sum_moments
 
 SENSOR = Sensor(
     azimuth_step_deg=0.5, elevation_min_deg=-40, elevation_max_deg=25, channels=131, range_m=60

@@ -8,10 +8,10 @@ import pytest
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
-from roadsight.placement.sight.boxes import count_box_hits
 from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.kinds import Box
 from roadsight.placement.sight.posed import Panorama
+from roadsight.placement.sight.shapes import count_box_hits
 from roadsight.placement.sight.sight import Sight, count_beams
 
 SENSOR = Sensor(

@@ -22,7 +22,7 @@ from roadsight.placement.sight.common_traffic import (
 )
 from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
 from roadsight.placement.sight.passing import CAR, TRUCK
-from roadsight.setcover.joint.joint import solve_joint
+from roadsight.setcover.plans.joint import solve_joint
 from tests.unit.placement.sight.test_lanes import straight_lanes
 
 LANES_Y = (1.75, 5.25, 8.75)

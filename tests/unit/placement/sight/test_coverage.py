@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.placement.sight.coverage import detection_matrix, times_seen
+from roadsight.placement.sight.detection import detection_matrix, times_seen
 
 CHOICES = pd.MultiIndex.from_tuples(
     [("VLP-16", "a"), ("VLP-16", "b"), ("OS-128", "a")], names=["sensor", "candidate"]

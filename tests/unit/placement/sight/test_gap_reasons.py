@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from roadsight.placement.sight.gap_reasons import (
+from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
+from roadsight.placement.sight.passing import TRUCK
+from roadsight.stages.placement.find_obstacles import (
     DARK,
     VEHICLES,
     WEATHER,
     hidden_too_often,
     refine_reasons,
 )
-from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
-from roadsight.placement.sight.passing import TRUCK
 from tests.unit.placement.sight.test_lanes import straight_lanes
 
 

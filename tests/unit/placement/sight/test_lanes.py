@@ -7,15 +7,13 @@ import pandas as pd
 import pytest
 import shapely
 
-from roadsight.io.records.detections import read_detections, write_detections
-from roadsight.io.records.lanes import read_traffic
+from roadsight.io.records.placement_tables import read_detections, read_traffic, write_detections
 from roadsight.io.records.tables import write_table
-from roadsight.placement.sight.carriageways import lanes_abreast
-from roadsight.placement.sight.coverage import availability
-from roadsight.placement.sight.lanes import free_shares, rasterise_lanes, trace_lanes
+from roadsight.placement.sight.detection import availability
+from roadsight.placement.sight.lanes import free_shares, lanes_abreast, rasterise_lanes, trace_lanes
 from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way
-from roadsight.synthetic.highway.highway import build_highway
-from roadsight.synthetic.highway.truth import digitised_edges, truth_layers
+from roadsight_worlds.highway.highway import build_highway
+from roadsight_worlds.highway.truth import digitised_edges, truth_layers
 
 LANE_M = 3.5
 

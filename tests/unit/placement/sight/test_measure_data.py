@@ -13,7 +13,7 @@ import shapely
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
-from roadsight.io.records.detections import write_detections
+from roadsight.io.records.placement_tables import write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.placement.sensors.sensors import load_sensors

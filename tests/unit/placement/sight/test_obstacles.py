@@ -13,8 +13,8 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
-from roadsight.io.records.detections import write_detections
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.records.placement_tables import write_detections
+from roadsight.io.records.surfaces import write_surfels
 from roadsight.io.records.tables import write_table
 from roadsight.placement.sight.obstacles import (
     blocked_sight_lines,
@@ -22,9 +22,9 @@ from roadsight.placement.sight.obstacles import (
     group_obstacles,
     pairs_in_range,
 )
-from roadsight.scene.surfels.surfels import Surfels
+from roadsight.scene.surfels import Surfels
 from roadsight.stages.placement import find_obstacles
-from roadsight.synthetic.casting.simple_scenes import cylinder_scene, plane_scene, wall_scene
+from roadsight_worlds.casting.simple_scenes import cylinder_scene, plane_scene, wall_scene
 
 HEIGHT_M = 0.6
 LEVELS = np.array([0.25, 0.5, 0.75, 1.0])

@@ -13,9 +13,9 @@ from roadsight.placement.sensors.rays import as_seen_from, beam_directions, retu
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.footprints import CLEAN_SHARE, count_shared_hits, overlap
-from roadsight.placement.sight.mounted import count_tilted_hits
+from roadsight.placement.sight.shapes import count_tilted_hits
 from roadsight.placement.sight.sight import Sight, count_beams
-from roadsight.scene.surfels.surfels import Surfels
+from roadsight.scene.surfels import Surfels
 
 SENSOR = Sensor(
     azimuth_step_deg=0.5,

@@ -5,13 +5,11 @@ import pytest
 
 from roadsight.placement.candidates.tilt import tilt_rotation
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
-from roadsight.placement.sensors.rasters import spinning_raster
-from roadsight.placement.sensors.rays import NOT_CAST_M
+from roadsight.placement.sensors.rays import NOT_CAST_M, spinning_raster
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import Box, Cylinder, room_for
 from roadsight.placement.sight.posed import Panorama, weigh_targets
-from roadsight.placement.sight.sight import Sight, count_beams
-from roadsight.placement.sight.wanted import beams_wanted
+from roadsight.placement.sight.sight import Sight, beams_wanted, count_beams
 
 SHAPES = [Cylinder(0.25, 0.6), Cylinder(0.5, 1.0), Cylinder(0.3, 1.7), Box(4.5, 1.8, 1.5)]
 WHOLE = Sensor(

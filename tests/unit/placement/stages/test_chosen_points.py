@@ -10,9 +10,9 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
-from roadsight.io.records.detections import read_detections
+from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.stages.placement.shared.chosen_points import MeasuringFiles, points_by_height
+from roadsight.stages.placement.measure_data import MeasuringFiles, points_by_height
 from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets
 from tests.unit.placement.stages.test_pose_stages import detect, road  # noqa: F401 (a fixture)
 

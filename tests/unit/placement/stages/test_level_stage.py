@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from roadsight.config.plans import Plan
-from roadsight.io.records.detections import read_detections, write_detections
+from roadsight.io.records.placement_tables import read_detections, write_detections
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import read_layer
-from roadsight.report.site.sight_view import sight_view
+from roadsight.report.site.plan_view import sight_view
 from roadsight.report.wording import percent
 from tests.unit.placement.sight.test_lanes import straight_lanes
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME, Site

@@ -9,16 +9,16 @@ import pytest
 from shapely import box
 
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.images.depth_networks import network_for
+from roadsight.io.cloud.tiles import StandingCloud
+from roadsight.io.images.models import network_for
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import read_detections
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.placement_tables import read_detections
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import write_layers
-from roadsight.placement.depth.models import model_of_points
+from roadsight.placement.depth.unet import model_of_points
 from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import load_sensor
 from roadsight.placement.sight.detection import count_hits

@@ -13,17 +13,17 @@ from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
-from roadsight.io.records.detections import read_detections, write_detections
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.records.placement_tables import read_detections, write_detections
+from roadsight.io.records.surfaces import write_surfels
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import read_layer
-from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.plans.plan_problem import choices_of, posed_candidates
 from roadsight.placement.sensors.poses import Turn, local_from_sensor, split_pose
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.kinds import Box, Cylinder
 from roadsight.placement.sight.sight import Sight
-from roadsight.scene.surfels.surfels import Surfels
+from roadsight.scene.surfels import Surfels
 from roadsight.stages.placement import (
     check_coverage,
     detect_poses,

@@ -12,10 +12,10 @@ from pyproj import CRS
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import write_json
-from roadsight.io.records.detections import write_detections
+from roadsight.io.records.placement_tables import write_detections
 from roadsight.io.records.tables import write_table
+from roadsight.setcover.common.problem import TIME_LIMIT, Cover
 from roadsight.setcover.common.program import version
-from roadsight.setcover.common.result import TIME_LIMIT, Cover
 from roadsight.setcover.plans.whole import ContradictionError
 from roadsight.stages.placement import check_coverage, solve_cover
 

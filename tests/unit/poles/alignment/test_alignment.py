@@ -10,8 +10,7 @@ from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap
 from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.pose import SIZE, YAW, Spread, Start, pose_of
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
-from roadsight.poles.alignment.search import search
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend, search
 from roadsight.poles.alignment.verdict import (
     Limits,
     condition,

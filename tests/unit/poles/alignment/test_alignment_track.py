@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
+from roadsight.poles.alignment.drive import roadway_at
 from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
-from roadsight.poles.alignment.roadway import roadway_at
 from roadsight.poles.alignment.track import extended_track, sides_of_track, track_headings_deg
 
 TRACK = np.array([[0.0, 0.0], [0.0, 50.0], [30.0, 90.0], [80.0, 100.0]])

@@ -20,7 +20,7 @@ from roadsight.poles.alignment.dense import (
     gather,
     moved,
 )
-from roadsight.poles.alignment.dense_verdict import (
+from roadsight.poles.alignment.verdict import (
     AT_BOUND,
     NO_LEAD,
     TOO_LITTLE,

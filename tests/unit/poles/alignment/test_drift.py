@@ -7,7 +7,7 @@ import pytest
 
 from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.drift import Drift, DriftModel
-from roadsight.synthetic.rural.videolog import GpsNoise, drifting
+from roadsight_worlds.rural.videolog import GpsNoise, drifting
 
 STATION_M = np.arange(0.0, 1000.0, 8.0)
 RECEIVERS = [GpsNoise(), drifting(3.0), GpsNoise(0.1, 100.0, 0.03)]

@@ -8,7 +8,6 @@ import pytest
 
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
-from roadsight.poles.alignment.association import admissible, associate, match_landmarks
 from roadsight.poles.alignment.drive import near_edges, places_of, sight_of
 from roadsight.poles.alignment.landmarks import (
     LandmarkNoise,
@@ -16,13 +15,18 @@ from roadsight.poles.alignment.landmarks import (
     measure,
     slopes,
 )
-from roadsight.poles.alignment.locate import locate, without_view
+from roadsight.poles.alignment.locate import (
+    admissible,
+    associate,
+    locate,
+    match_landmarks,
+    without_view,
+)
 from roadsight.poles.alignment.pose import INSETS, TURNS, Spread, pose_of
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.alignment.search import search
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
-from roadsight.poles.calibration.calibration_sides import side_turns
-from roadsight.poles.images.stitching import turned
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, search
+from roadsight.poles.calibration.calibration_landmarks import side_turns
+from roadsight.poles.images.views import turned
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from tests.helpers.road_bed import RoadBed, frames_of
 

@@ -5,9 +5,8 @@ import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.poles.alignment.drive import places_of
+from roadsight.poles.alignment.drive import on_road, places_of
 from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
-from roadsight.poles.alignment.roadway import on_road
 from roadsight.poles.alignment.track import extended_track
 
 STEP_M = 8.0

@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.poles.alignment.chain import Normal, others_say, solve_bordered, surprise
 from roadsight.poles.alignment.drift import OVERLAP, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import FOCAL, INSETS, SIZE, YAW, Spread, Start, pose_of
 from roadsight.poles.alignment.solve import Fit
-from roadsight.poles.alignment.ties import LENS, Member, pose_misfit, told_by_others
+from roadsight.poles.alignment.ties import (
+    LENS,
+    Member,
+    Normal,
+    others_say,
+    pose_misfit,
+    solve_bordered,
+    surprise,
+    told_by_others,
+)
 from roadsight.poles.calibration.calibration import Mount
 from roadsight.poles.calibration.calibration_together import Tied, mount_together
 

@@ -7,15 +7,14 @@ import pytest
 from pyproj import CRS
 
 from roadsight.base.errors import InputError
+from roadsight.commands.register import read_pairs
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
-from roadsight.io.images.clicked_pairs import read_pairs
 from roadsight.poles.alignment.pose import FOCAL, UNKNOWNS, Start, pose_of
-from roadsight.poles.calibration.baselines import baseline, mounted
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.calibration.calibration_table import baseline_mount
-from roadsight.poles.calibration.registration import register_camera
+from roadsight.poles.calibration.registration import baseline, mounted, register_camera
 
 WIDTH = 1200
 HEIGHT = 800

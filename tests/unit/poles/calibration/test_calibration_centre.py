@@ -23,12 +23,12 @@ from roadsight.poles.calibration.calibration import (
     with_centre_held,
     with_centre_open,
 )
-from roadsight.poles.calibration.calibration_centre import (
+from roadsight.poles.calibration.calibration_together import (
+    Tied,
     centre_doubts,
     lens_sigmas,
     told_centre,
 )
-from roadsight.poles.calibration.calibration_together import Tied
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, image_bearings, turned_by_camera
 
 START = Start(100.0, 200.0, 5.0, 30.0, 0.0, 0.0, 1000, 600, 499.5, 299.5)

@@ -17,12 +17,17 @@ from roadsight.poles.drive.drive_profile import (
     front_view_gap,
     hidden_share,
     keys_of,
+    left_out_share,
     measured_lens,
+    views_of_places,
 )
-from roadsight.poles.images.front_view import left_out_share, views_of_places
-from roadsight.scene.terrain.occlusion import TerrainSight, visible
-from roadsight.scene.terrain.sight_lines import hidden_by_heights, hidden_road_share
-from roadsight.scene.terrain.tin import triangulate
+from roadsight.scene.terrain.tin import (
+    TerrainSight,
+    hidden_by_heights,
+    hidden_road_share,
+    triangulate,
+    visible,
+)
 
 KEY = ("a", 640, 416)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.poles.drive.track import headings_deg, moving, steps_m
+from roadsight.poles.drive.videolog import headings_deg, moving, steps_m
 
 
 def curve(count=120, step=8.0, radius=400.0, noise=0.0, seed=0, start=0.3):

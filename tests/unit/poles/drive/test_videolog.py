@@ -24,7 +24,7 @@ from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
 from roadsight.poles.drive.videolog import split_drives
-from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
+from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.poles import read_videolog
 from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.evidence import (
     FIELDS,
     GROUND,
@@ -20,6 +19,7 @@ from roadsight.poles.images.evidence import (
     edge_maps,
     surface_field,
 )
+from roadsight.poles.images.kinds import PixelClass
 
 SHAPE = (90, 160)
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.lanes import Curve, centre_lines, fit_curve, without_specks
 
 ROWS = 300

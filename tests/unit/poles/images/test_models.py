@@ -10,9 +10,13 @@ import yaml
 
 from roadsight.base.errors import InputError
 from roadsight.io.images.models import open_model, read_label_map
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.manifest import SILENT, LabelMap, Labels, Manifest, Size
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.networks import (
+    SILENT,
+    LabelMap,
+    Labels,
+    Manifest,
+    Size,
     class_mask,
     downward_trend,
     folder_mask,

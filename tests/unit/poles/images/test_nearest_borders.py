@@ -3,8 +3,8 @@
 import numpy as np
 
 from roadsight.base.sections.poles import EdgeTracing
-from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
+from roadsight.poles.images.kinds import PixelClass
 
 ROWS = 375
 COLUMNS = 1242

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from roadsight.io.records.checksums import CachedChecksums
+from roadsight.io.records.sources import CachedChecksums
 
 RULES = Path(__file__).parents[4] / "workflow/rules/poles/videolog_inputs.smk"
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from roadsight.geometry.cameras import Intrinsics
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pictures import best_views, cut_out, projected_box, unrecognisable
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.lens import RadialLens
+from roadsight.poles.drive.drive_profile import upright_curves
 from roadsight.poles.images.plumb_line import bow, doubt, fit_lens
-from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.upright_curves import upright_curves
+from roadsight.poles.images.views import source_places, straightened
 
 SIZE = 640, 416
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.base.sections.poles import PoleMasks
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import find_instances
 
 HEIGHT = 1200

@@ -7,9 +7,9 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import Intrinsics
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.published_masks import published_instances
-from roadsight.poles.images.stitching import beside
+from roadsight.poles.images.kinds import PixelClass
+from roadsight.poles.images.pole_masks import published_instances
+from roadsight.poles.images.views import beside
 
 
 def mask_of(*boxes, height_px=1200, kind=PixelClass.POLE):

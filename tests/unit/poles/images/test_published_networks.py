@@ -7,7 +7,7 @@ import pytest
 
 from roadsight.base.texts import read_yaml
 from roadsight.io.images.models import open_model
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.networks import (
     class_mask,
     tensor_of,

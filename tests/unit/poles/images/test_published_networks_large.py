@@ -18,15 +18,16 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from roadsight.base.section import validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.images.models import open_model
 from roadsight.io.records.tables import write_table
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.manifest import SILENT, Manifest
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.networks import (
     FULL_SCALE,
+    SILENT,
+    Manifest,
     class_mask,
     inverse_depth,
     packed_depth,

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.images.repeated_images import repeat_doubts, repeated_images
+from roadsight.stages.poles.profile_drive import repeat_doubts, repeated_images
 from tests.unit.poles.images.test_image_matches import SIZE, scenery
 
 STEP_PX = 6

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.cameras import cam_from_world
-from roadsight.poles.images.side_matches import Votes, agreed_turn, turn_votes
-from roadsight.poles.images.stitching import turned
+from roadsight.poles.images.image_matches import Votes, agreed_turn, turn_votes
+from roadsight.poles.images.views import turned
 
 
 def matches(rng, turn_deg, count=60, wrong=0.4, noise_deg=0.03, places=6):

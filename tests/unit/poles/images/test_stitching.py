@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, wrap_deg
-from roadsight.poles.images.stitching import (
+from roadsight.poles.images.views import (
     ViewOffsets,
     merge_views,
     side_intrinsics,

@@ -7,11 +7,10 @@ import pandas as pd
 import pytest
 import shapely
 
-from roadsight.poles.risk.branches import find_branches
-from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places
-from roadsight.poles.risk.tracks import RouteTracks
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.rural_truth import rural_layers
+from roadsight.poles.risk.roads import RouteTracks
+from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places, find_branches
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_truth import rural_layers
 
 _LENGTH_M = 400.0
 

@@ -21,7 +21,7 @@ from roadsight.poles.risk.profiles import (
     noise_of,
     steepest,
 )
-from roadsight.synthetic.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_road import build_rural
 from tests.helpers.rural_sections import (
     edge_and_outward,
     exact_height,

@@ -14,10 +14,9 @@ from roadsight.poles.risk.hazard import (
     rate_roadside,
     side_slopes,
 )
-from roadsight.poles.risk.roads import roads_of
+from roadsight.poles.risk.roads import RouteTracks, roads_of
 from roadsight.poles.risk.roadside import Surroundings, edges_at
 from roadsight.poles.risk.shielding import barriers_along
-from roadsight.poles.risk.tracks import RouteTracks
 
 X = np.arange(0, 400, 0.3)
 EDGES = np.concatenate([np.column_stack([X, np.full(len(X), y)]) for y in (-4.0, 4.0)])

@@ -6,11 +6,10 @@ import pytest
 from scipy.signal import lfilter
 
 from roadsight.poles.risk.road_geometry import COLUMNS, road_geometry
-from roadsight.poles.risk.roads import Road, Roads, road_along, roads_of
+from roadsight.poles.risk.roads import Road, Roads, RouteTracks, road_along, roads_of
 from roadsight.poles.risk.roadside import Surroundings, bends_at
-from roadsight.poles.risk.tracks import RouteTracks
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives, shots
 
 STEP_M = 0.25
 """Between the points of an edge."""

@@ -5,11 +5,10 @@ import pandas as pd
 import pytest
 import shapely
 
-from roadsight.poles.risk.roads import Roads, road_along, roads_of
-from roadsight.poles.risk.tracks import RouteTracks
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.rural_truth import rural_layers
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight.poles.risk.roads import Roads, RouteTracks, road_along, roads_of
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_truth import rural_layers
+from roadsight_worlds.rural.videolog import random_drives, shots
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])

@@ -11,8 +11,13 @@ import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.sightings.blocks import block_cells, join_blocks
-from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
+from roadsight.poles.sightings.buildings import (
+    ROOF_AREA_M2,
+    block_cells,
+    join_blocks,
+    roof_cells,
+    steady_roofs,
+)
 
 
 def roof(rng, low, high, height_m=6.0, per_m2=12.0, walls=True):

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from roadsight.geometry.cameras import Intrinsics, project
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.sightings.confirm import (
     AGAINST,
     OUT_OF_VIEW,

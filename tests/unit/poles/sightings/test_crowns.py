@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from roadsight.poles.sightings.crowns import (
+from roadsight.poles.sightings.trees import (
     SIGMA_M,
     canopy_cell_m,
     find_crowns,

@@ -8,12 +8,12 @@ import shapely
 
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.validation import score_lines, score_near
-from roadsight.poles.sightings.blocks import block_cells, join_blocks
-from roadsight.poles.sightings.crowns import find_crowns
+from roadsight.poles.sightings.buildings import block_cells, join_blocks
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
-from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rural.airborne_scanner import AirborneScanner, scan_rural
-from roadsight.synthetic.rural.rural_road import build_rural
+from roadsight.poles.sightings.trees import find_crowns
+from roadsight_worlds.rendering.images import RuralRenderer
+from roadsight_worlds.rural.airborne_scanner import AirborneScanner, scan_rural
+from roadsight_worlds.rural.rural_road import build_rural
 
 
 @pytest.fixture(scope="module", params=[11, 12])

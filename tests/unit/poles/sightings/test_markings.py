@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.cameras import Intrinsics, project
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.sightings.markings import FARTHEST_M, markings_on_ground
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
+from roadsight.stages.poles.measure_poles import FARTHEST_M, markings_on_ground
 
 LENS = Intrinsics.from_field_of_view(640, 416, 50.0)
 GRADE = 0.05

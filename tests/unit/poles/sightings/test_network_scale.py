@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.sightings.network_scale import COLUMNS, network_scales, with_scales
+from roadsight.poles.sightings.metric_depth import COLUMNS, network_scales, with_scales
 
 
 def sightings(rng, ratio, count=60, scatter=0.15, view="front", route="a"):

@@ -7,18 +7,18 @@ import pytest
 
 from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import Intrinsics, project, wrap_deg
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.sighting_bearing import (
     OWN_COLUMN,
     TURNED_COLUMNS,
     ViewCamera,
+    fit_front_depth,
     image_bearings,
     matching_columns,
     nearest_projected,
     with_place,
 )
-from roadsight.poles.sightings.sighting_depth import fit_front_depth
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))

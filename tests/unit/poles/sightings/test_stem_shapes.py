@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.stem_shapes import stem_shapes
+from roadsight.poles.sightings.stems import stem_shapes
 
 _TOP_M = 10.0
 

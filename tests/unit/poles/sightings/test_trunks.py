@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.poles.sightings.crowns import Crowns
-from roadsight.poles.sightings.trunks import CROWN, NO_TRUNK, TRUNK, find_trunks
+from roadsight.poles.sightings.trees import CROWN, NO_TRUNK, TRUNK, Crowns, find_trunks
 
 CELL_M = 0.5
 

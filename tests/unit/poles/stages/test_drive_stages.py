@@ -16,8 +16,8 @@ from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.poles.drive.drive_profile import upright_curves
 from roadsight.poles.images.plumb_line import bow
-from roadsight.poles.images.upright_curves import upright_curves
 from roadsight.stages.poles import profile_drive, undistort_views, use_given_cameras
 from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS
 from tests.helpers.road_bed import Mount as BedMount

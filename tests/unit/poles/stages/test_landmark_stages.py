@@ -8,7 +8,7 @@ import pandas as pd
 from roadsight.base.options import add_options, called
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.stages.poles import trace_pole_axes
 from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_columns
 

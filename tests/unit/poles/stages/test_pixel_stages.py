@@ -18,9 +18,8 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.stitching import ViewOffsets
-from roadsight.poles.images.views import View
+from roadsight.poles.images.kinds import PixelClass
+from roadsight.poles.images.views import View, ViewOffsets
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.stages.poles import measure_poles, trace_image_edges
 from tests.helpers.onnx_bytes import network, node, pointwise, tensor, value

@@ -26,10 +26,10 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.vectors import read_layer, write_layers
-from roadsight.poles.risk.tracks import RouteTracks
-from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
+from roadsight.poles.risk.roads import RouteTracks
+from roadsight.poles.sightings.metric_depth import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.triangulate.site import SHARED_COLUMNS
 from roadsight.stages.evidence import compare_components
 from roadsight.stages.poles import (

@@ -12,8 +12,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.pose import UNKNOWNS
 from roadsight.stages.poles import align_cameras, calibrate_drive
-from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS
-from roadsight.stages.poles.shared.published_inputs import ways_ahead
+from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, ways_ahead
 from tests.helpers.road_bed import Mount, RoadBed, edge_table, frames_of
 
 IMAGES = 16

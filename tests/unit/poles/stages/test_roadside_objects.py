@@ -12,9 +12,8 @@ from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
-from roadsight.poles.sightings.crowns import canopy_cell_m, find_crowns, measure_density
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
-from roadsight.poles.sightings.trunks import find_trunks
+from roadsight.poles.sightings.trees import canopy_cell_m, find_crowns, find_trunks, measure_density
 from roadsight.stages.poles.find_roadside_objects import find_roadside_objects
 
 SIZE_M = 150.0

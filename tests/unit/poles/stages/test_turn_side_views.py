@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 
 from roadsight.geometry.cameras import attitude_deg
-from roadsight.io.images.videolog_shards import JpegShardWriter
+from roadsight.io.images.image_shards import JpegShardWriter
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.alignment.pose import FOCAL
 from roadsight.stages.poles import turn_side_views
-from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rendering.rendering_look import drive_look, random_finish
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight_worlds.rendering.images import RuralRenderer
+from roadsight_worlds.rendering.rendering_look import drive_look, random_finish
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives, shots
 
 SEED = 3
 LENS_SIGMA = 0.0065

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.sightings.confirm import UNSEEN, confirmed
 from roadsight.poles.triangulate.cloud_objects import OVER_ROAD, blocks_of, trees_of
 

@@ -10,11 +10,20 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from roadsight.poles.triangulate.association import Grower, Work, find_neighbours, in_order
-from roadsight.poles.triangulate.exchange import associate
-from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.kernels import BIN_M, choose, evidence, misfit, settle, speaks
-from roadsight.poles.triangulate.likelihood import likelihood
+from roadsight.poles.triangulate.association import (
+    BIN_M,
+    Grower,
+    Work,
+    choose,
+    evidence,
+    find_neighbours,
+    in_order,
+    misfit,
+    settle,
+    speaks,
+)
+from roadsight.poles.triangulate.explain import associate, explain_rays, likelihood
+from roadsight.poles.triangulate.locate import choose_groups
 from roadsight.poles.triangulate.noise import (
     Noise,
     fit_noise,
@@ -22,7 +31,6 @@ from roadsight.poles.triangulate.noise import (
     place_groups,
     stated_noise,
 )
-from roadsight.poles.triangulate.packing import choose_groups
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from tests.helpers.drives import Drive, on_road, rays_and_poles, simulate
 

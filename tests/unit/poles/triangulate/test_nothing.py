@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.__main__ import main
-from roadsight.poles.triangulate.geographic import triangulate_geographic
-from roadsight.poles.triangulate.nothing import reasons_for_none
+from roadsight.poles.triangulate.geographic import reasons_for_none, triangulate_geographic
 from roadsight.poles.triangulate.rays import UNAIDED
 
 SETTINGS = UNAIDED

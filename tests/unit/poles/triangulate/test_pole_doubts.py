@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.sightings.network_scale import NetworkScale
-from roadsight.poles.triangulate.panels import STANDING
+from roadsight.poles.sightings.metric_depth import NetworkScale
 from roadsight.poles.triangulate.pole_doubts import (
     FAR_M,
     FAR_SIGMA_M,
@@ -19,7 +18,7 @@ from roadsight.poles.triangulate.pole_doubts import (
     pole_doubts,
 )
 from roadsight.poles.triangulate.rays import UNAIDED
-from roadsight.poles.triangulate.site import site_poles
+from roadsight.poles.triangulate.site import STANDING, site_poles
 
 
 def sightings(anchored, others=10, lost=0):

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.probability import (
+from roadsight.poles.triangulate.rays import UNAIDED
+from roadsight.poles.triangulate.site import (
     CALIBRATED,
     one_thing_probability,
     probability_source,
     real_probability,
 )
-from roadsight.poles.triangulate.rays import UNAIDED
 from tests.helpers.drives import Drive, rays_and_poles, simulate
 
 DRIVES = (

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
-from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
 from roadsight.poles.triangulate.locate import (
     calibrate_depths,
+    choose_groups,
     drop_near_structures,
     error_ellipse,
     shares_above,
@@ -19,19 +19,14 @@ from roadsight.poles.triangulate.locate import (
     withhold_thin,
     withhold_under_crowns,
 )
-from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
-from roadsight.poles.triangulate.noise import place_groups, stated_noise
-from roadsight.poles.triangulate.packing import choose_groups
-from roadsight.poles.triangulate.panels import (
-    FILLED,
-    LOW,
-    STANDING,
-    UNEVEN,
-    are_filled,
-    panel_edges,
-    withhold_by_height,
-    withhold_filled,
+from roadsight.poles.triangulate.merging import (
+    Points,
+    fit_groups,
+    follows_sequence,
+    locate_points,
+    merge_groups,
 )
+from roadsight.poles.triangulate.noise import place_groups, stated_noise
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
     TriangulationSettings,
@@ -39,7 +34,19 @@ from roadsight.poles.triangulate.rays import (
     make_rays,
     pair_rays,
 )
-from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
+from roadsight.poles.triangulate.site import (
+    FILLED,
+    LOW,
+    POLE_COLUMNS,
+    SHARED_COLUMNS,
+    STANDING,
+    UNEVEN,
+    are_filled,
+    panel_edges,
+    site_poles,
+    withhold_by_height,
+    withhold_filled,
+)
 from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
 
 

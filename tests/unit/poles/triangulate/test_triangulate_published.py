@@ -6,8 +6,11 @@ import pytest
 
 from roadsight.base.sections.poles import Triangulation
 from roadsight.poles.risk.validation import score_thresholds
-from roadsight.poles.triangulate.earth import TangentFrame
-from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
+from roadsight.poles.triangulate.geographic import (
+    TangentFrame,
+    triangulate_geographic,
+    triangulate_published,
+)
 from roadsight.poles.triangulate.published import (
     FIRST_CODE,
     PUBLISHED_DISTANCE,

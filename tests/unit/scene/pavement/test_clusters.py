@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 
-from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.outline import euclidean_clusters
 
 
 def brute_force(xyz, distance):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.scene.pavement.epochs import ScanHeights, epoch_doubts
+from roadsight.scene.pavement.pavement_doubts import ScanHeights, epoch_doubts
 
 
 @pytest.fixture

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from roadsight.scene.pavement.fpfh import FEATURES, fpfh
-from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.fpfh import FEATURES, fpfh, nearest_neighbours, upward_normals
 
 
 def dot(a, b):

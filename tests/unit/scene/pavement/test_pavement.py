@@ -9,11 +9,15 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import PavementOutline
 from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
-from roadsight.scene.pavement.fpfh import fpfh
-from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.fpfh import (
+    column_means,
+    fit_smoothness,
+    fpfh,
+    is_smooth,
+    nearest_neighbours,
+    upward_normals,
+)
 from roadsight.scene.pavement.outline import outline_pavement, pavement_settings_for, vote
-from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.surfels.thinning import column_means
 
 SETTINGS = PavementOutline()
 

@@ -8,7 +8,7 @@ import shapely
 
 from roadsight.base.errors import InputError
 from roadsight.evidence.truth.streets import ROAD, UNLABELLED, ground_points, read_street
-from roadsight.scene.pavement.ground_raster import cell_means, local_planes, window_planes
+from roadsight.scene.pavement.ground_raster import cell_means, grow, local_planes, window_planes
 from roadsight.scene.pavement.road_surface import (
     KnownRoad,
     RoadSettings,
@@ -17,7 +17,6 @@ from roadsight.scene.pavement.road_surface import (
     road_points,
 )
 from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
-from roadsight.scene.pavement.surface_growth import grow
 from roadsight.scene.whole import road_of
 
 HALF_ROAD_M = 4.0

@@ -6,13 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
-from roadsight.scene.pavement.fpfh import fpfh
-from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.pavement.smoothness import (
+from roadsight.scene.pavement.fpfh import (
     fit_smoothness,
+    fpfh,
     is_smooth,
     local_intensity,
+    nearest_neighbours,
     two_tones,
+    upward_normals,
 )
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from roadsight.evidence.truth.streets import ground_points, read_street
 from roadsight.scene.pavement.road_surface import RoadSettings, find_road, road_points
-from roadsight.scene.pavement.scan_levels import scanner_positions
-from roadsight.scene.pavement.turn_seams import close_turns
+from roadsight.scene.pavement.scan_levels import close_turns, scanner_positions
 from roadsight.scene.whole import near_ground
 
 HALF_ROAD_M = 4.0

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from roadsight.base.section import Count, Metres, Section
+from roadsight.base.section import Count, Metres, Section, Share
 
 
 class Candidates(Section):
@@ -105,3 +105,85 @@ class Cover(Section):
                 "verify: highs takes time: raise verify_time_limit_s (0), or leave verify out"
             )
         return self
+
+
+# Schema of the poses in which sensors are tried at each candidate.
+
+Yaw = Annotated[float, Field(ge=-180, le=180)]
+
+Pitch = Annotated[float, Field(ge=-90, le=90)]
+
+Angles = Annotated[list[Yaw], Field(min_length=1, max_length=72)]
+
+Pitches = Annotated[list[Pitch], Field(min_length=1, max_length=36)]
+
+
+class PoseGrid(Section):
+    """Angles of one kind of sensor, degrees, of which every combination is tried."""
+
+    yaw_deg: Angles = Field(description="from the road's normal, to the left")
+    pitch_deg: Pitches = Field(description="upwards")
+    roll_deg: Angles = Field(description="right side up")
+
+
+def _grid(yaw_deg: list[float], pitch_deg: list[float]) -> PoseGrid:
+    return PoseGrid(yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=[0.0])
+
+
+class Poses(Section):
+    """Poses tried at each candidate: yaw to the left of the road's normal, pitch up, roll."""
+
+    spinning: PoseGrid = Field(
+        default=_grid([0.0], [0.0]),
+        description="spinning LiDARs; all angles 0: as mounted, with depth maps of their own",
+    )
+    rosette: PoseGrid = Field(
+        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-45.0, -25.0, -10.0]),
+        description="non-repetitive solid-state LiDARs",
+    )
+    camera: PoseGrid = Field(
+        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-45.0, -25.0, -10.0]),
+        description="cameras",
+    )
+    radar: PoseGrid = Field(
+        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-20.0, -10.0, -5.0]),
+        description="radars",
+    )
+    panorama_step_deg: float = Field(
+        default=0.2, ge=0.02, le=2, description="beams of the depth map that judges poses, degrees"
+    )
+
+
+# Schema of the weather and the traffic in which sensors work.
+
+
+class Traffic(Section):
+    """Vehicles on the road."""
+
+    aadt: float = Field(default=0.0, ge=0, le=1e6, description="vehicles a day, all lanes; 0: none")
+    truck_share: Share = Field(default=0.1, description="share of trucks among the vehicles")
+    peak_share: Share = Field(default=0.1, description="share of a day's vehicles in its peak hour")
+    speed_kmh: float = Field(default=80.0, gt=0, le=300, description="speed of vehicles, km/h")
+    lane_width_m: float = Field(default=3.5, gt=1, le=10, description="width of a lane, m")
+    availability: float = Field(
+        default=0.9, gt=0, lt=1, description="targets are seen if free of traffic so often, share"
+    )
+
+
+class Weather(Section):
+    """What is in the air, and how targets reflect."""
+
+    rain_mm_h: float = Field(default=0.0, ge=0, le=300, description="rain, mm/h")
+    visibility_m: float = Field(
+        default=20000.0, gt=0, le=1e6, description="visibility in fog or haze, m; 20000: clear"
+    )
+    target_reflectivity: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="reflectivity of targets; 0: that at which sensors' ranges are stated",
+    )
+
+
+class Conditions(Traffic, Weather):
+    """Conditions in which sensors work."""

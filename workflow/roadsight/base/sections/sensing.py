@@ -13,7 +13,7 @@ Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
 """a and b of p = a ln(n) + b."""
 
 DepthModel = Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"]
-"""Ways to a depth map (`roadsight.placement.depth.models`)."""
+"""Ways to a depth map (`roadsight.placement.depth.unet`)."""
 
 
 class TargetGrid(Section):

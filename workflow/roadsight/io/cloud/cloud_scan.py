@@ -16,7 +16,7 @@ from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.clouds import CHUNK_POINTS, iter_chunks, read_header
 from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.point_filter import noisy
-from roadsight.io.records.checksums import sha256
+from roadsight.io.records.sources import sha256
 
 OVERLAP = Scene().overlap
 """What is done with points of overlapping flight lines where nobody says."""

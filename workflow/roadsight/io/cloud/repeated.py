@@ -21,7 +21,7 @@ from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.cloud_scan import kept_chunks
 from roadsight.io.cloud.clouds import read_header
 from roadsight.io.cloud.point_filter import key_steps, point_keys
-from roadsight.io.records.checksums import sha256
+from roadsight.io.records.sources import sha256
 
 _SAMPLE = 1 << 17
 """Points of the sample at most (1 MB of hashes); a cloud of fewer is looked at as a whole."""

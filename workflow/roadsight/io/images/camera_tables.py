@@ -5,16 +5,22 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterable
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from roadsight.base.errors import InputError
+from roadsight.base.section import validated
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json
 from roadsight.io.records.text_tables import read_cells
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
+
 _LENS = ("focal_px", "cx_px", "cy_px")
+
 _SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
 
 
@@ -98,3 +104,62 @@ def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[
     for name in wanted:
         _column(table, re.escape(name), path)
     return wanted
+
+
+# Registered cameras by image size: a JSON file that `roadsight register` or a user writes.
+
+Angle = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
+
+Metres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
+
+Sigma = Annotated[float | None, Field(gt=0, le=1e3, allow_inf_nan=False)]
+
+Count = Annotated[int | None, Field(ge=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Sigmas(_Section):
+    """Standard deviation of each number."""
+
+    along_m: Sigma = None
+    lateral_m: Sigma = None
+    height_m: Sigma = None
+    yaw_deg: Sigma = None
+    pitch_deg: Sigma = None
+    roll_deg: Sigma = None
+    log_focal: Sigma = None
+
+
+class Baseline(_Section):
+    """Where the camera of one image size sits on its vehicle, and its lens."""
+
+    focal_px: float | None = Field(None, gt=0, le=1e6, allow_inf_nan=False)
+    hfov_deg: float | None = Field(None, gt=0, lt=180, allow_inf_nan=False)
+    along_m: Metres | None = None
+    lateral_m: Metres | None = None
+    height_m: Metres | None = None
+    yaw_deg: Angle | None = None
+    pitch_deg: Angle | None = None
+    roll_deg: Angle | None = None
+    sigma: Sigmas = Sigmas()
+    images: Count = None
+    pairs: Count = None
+    rms_px: float | None = Field(None, ge=0, allow_inf_nan=False)
+
+
+class Baselines(RootModel[dict[Annotated[str, Field(pattern=r"^(all|\d+x\d+)$")], Baseline]]):
+    """Baselines by image size, ``<width>x<height>`` or ``all``."""
+
+
+def read_baselines(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
+    """Numbers of each baseline that the file states, by image size.
+
+    Raises
+    ------
+    InputError : the file cannot be read, names what there is not, or a number is out of range.
+    """
+    content = validated(Baselines, read_json(path), str(path))
+    return {size: baseline.model_dump(exclude_none=True) for size, baseline in content.root.items()}

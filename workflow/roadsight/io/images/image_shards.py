@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import zipfile
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Numbers
+from roadsight.base.doubts import Doubt, tell_matches
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import WholeFile
+from roadsight.io.images.exif import decoded_image
+from roadsight.io.records.atomic import WholeFile, atomic_path
 
 _ABOUT = "about.json"
 """Name of the description in the ZIP."""
+
 _DATE = (1980, 1, 1, 0, 0, 0)
 """The earliest date that a ZIP can hold, so that the same images give the same bytes."""
+
 _PNG = [
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
@@ -101,3 +109,135 @@ class ImageShard:
             where=self._path,
             hint="delete it and run the workflow again",
         )
+
+
+# Generated videologs: images in ZIPs of JPEGs, and tables as plain CSV.
+
+_DATE_VIDEOLOG_SHARDS = (1980, 1, 1, 0, 0, 0)
+"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
+
+
+class JpegShardWriter(WholeFile):
+    """Writes JPEGs one by one into a ZIP, which appears under its name when all is well.
+
+    A ZIP is one file that a workflow can declare; unpacked, it is the folder of images that a
+    videolog usually is. The same images give the same bytes.
+
+    Parameters
+    ----------
+    path : the ZIP to write. quality : of the JPEGs, 1 to 100.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], quality: int = 90) -> None:
+        super().__init__(path)
+        self._options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+
+    def _open(self, temporary: Path) -> None:
+        self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
+
+    def _close(self) -> None:
+        self._zip.close()
+
+    def write(self, name: str, image: Bytes) -> None:
+        """Add an image (rows, columns, 3 BGR) under ``name``, which ends in .jpg."""
+        done, encoded = cv2.imencode(".jpg", image, self._options)
+        if not done:
+            raise InputError("cannot be written as JPEG", where=name, found=image.dtype)
+        self._zip.writestr(zipfile.ZipInfo(name, _DATE_VIDEOLOG_SHARDS), encoded.tobytes())
+
+
+def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int]) -> None:
+    """Write a table as CSV.
+
+    Parameters
+    ----------
+    decimals : digits after the point by column; other columns are written as they are.
+    """
+    texts = table.copy()
+    for name, digits in decimals.items():
+        # Adding zero turns -0 into 0.
+        texts[name] = [f"{round(float(v), digits) + 0.0:.{digits}f}" for v in table[name]]
+    with atomic_path(path) as temporary:
+        texts.to_csv(temporary, index=False, lineterminator="\n")
+
+
+# Folders of label images or depth images that somebody else made for a videolog.
+
+_NAMED = 5
+"""So many images are named in a message; the number tells of the others."""
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+
+
+@dataclass(frozen=True)
+class Matching:
+    """What a folder has of a videolog's images.
+
+    Parameters
+    ----------
+    doubts : where few have one. without : paths of the images that have none.
+    """
+
+    doubts: list[Doubt]
+    without: tuple[str, ...]
+
+
+class LabelImages:
+    """PNGs named as the images they belong to, in the same folders or all in one.
+
+    Raises
+    ------
+    InputError : there is no such folder.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise InputError("is no folder", where=str(folder))
+
+    def find(self, image_path: str) -> Path | None:
+        """File of the image that belongs to ``image_path``, None where there is none."""
+        name = PurePosixPath(image_path).with_suffix(".png")
+        files = (self.folder / name, self.folder / name.name)
+        return next((file for file in files if file.is_file()), None)
+
+    def matching(self, image_paths: Sequence[str], what: str, log: logging.Logger) -> Matching:
+        """Which images have one here; those without are named in the log.
+
+        Parameters
+        ----------
+        image_paths : of all images of a videolog that are used. what : what lies here, plural.
+
+        Raises
+        ------
+        InputError : none has one.
+        """
+        without = tuple(path for path in image_paths if self.find(path) is None)
+        total, hint = len(image_paths), ""
+        if without:
+            example = PurePosixPath(without[0]).with_suffix(".png")
+            all_lack = len(without) == total
+            hint = f"such as {example}" if all_lack else f"left out: {_some(without)}"
+        met, where = f"images have {what}", str(self.folder)
+        return Matching(tell_matches(log, met, total - len(without), total, where, hint), without)
+
+    def read(self, image_path: str) -> Numbers:
+        """Pixels (rows, columns) of the image that belongs to ``image_path``, as stored.
+
+        Raises
+        ------
+        InputError : it is missing, damaged, or has more than one channel.
+        """
+        file = self.find(image_path)
+        if file is None:
+            raise InputError(f"has no image for {image_path}", where=str(self.folder))
+        pixels = decoded_image(file.read_bytes(), cv2.IMREAD_UNCHANGED)
+        if pixels is None or pixels.ndim != 2:
+            raise InputError(
+                "is no image of one channel",
+                where=str(file),
+                found="nothing readable" if pixels is None else f"{pixels.shape[2]} channels",
+            )
+        return pixels

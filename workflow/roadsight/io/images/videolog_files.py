@@ -7,7 +7,7 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-from roadsight.base.matches import tell_named
+from roadsight.base.doubts import tell_named
 from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import posed_images
 from roadsight.io.images.videologs import (

@@ -27,7 +27,7 @@ from roadsight.io.records.atomic import WholeFile
 from roadsight.io.records.whole import check_raster
 
 if TYPE_CHECKING:  # compiled loops that a reader does not need
-    from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
+    from roadsight.scene.voxel_classes import Columns, VoxelGrid
 
 _BLOCK_ROWS = 128
 """Rows of a block; the writer holds one row of blocks, so that lower blocks take less memory."""

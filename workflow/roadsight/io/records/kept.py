@@ -19,7 +19,7 @@ from typing import Any
 
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
-from roadsight.io.records.checksums import sha256
+from roadsight.io.records.sources import sha256
 
 _LOCK = Path("envs/requirements.lock")
 """Versions of the libraries: other ones may give other last digits."""

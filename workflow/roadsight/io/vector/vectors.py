@@ -104,7 +104,7 @@ def read_lines(
     """Digitised lines of a user in local metres.
 
     Reads GeoJSON, GeoPackage, Shapefile and other GDAL vector files, and CSV tables with one vertex
-    a row (see `roadsight.io.vector.line_tables`), in any CRS. Repeated vertices are dropped;
+    a row (see `roadsight.io.vector.vector_sources`), in any CRS. Repeated vertices are dropped;
     heights of 0 throughout, as stored, or of no data mean that none were digitised; parts
     that do not join become lines of their own, ``name.1`` and so on.
 

@@ -11,13 +11,14 @@ would return the nearest treetop.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Floats, Floats32, Ints
-from roadsight.base.kernels import compiled
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.sensing import Lidar
-from roadsight.placement.depth.angular_neighbours import Spherical, bin_points, fill_cells
 from roadsight.placement.sensors.sensors import Sensor
 
 _USUAL = Lidar()
@@ -140,3 +141,194 @@ def _least(
         if 0 <= row < rows and column < columns:
             counts[row, column] += 1
             least[row, column] = min(least[row, column], points.range_m[i])
+
+
+# Nearest neighbours in azimuth and elevation, and ranges interpolated from them.
+
+_BINS_IN_REACH = 6
+"""Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
+found stays the same."""
+
+_ON_BEAM_M = 1e-9
+"""Points this near to the beam are on it: the inverse of their distance means nothing."""
+
+
+class Spherical(NamedTuple):
+    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
+
+    azimuth_deg: Floats
+    elevation_deg: Floats
+    range_m: Floats
+
+
+class Bins(NamedTuple):
+    """Points sorted into bins of azimuth (all around) and elevation.
+
+    Parameters
+    ----------
+    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
+    order : (n,) points by bin, in input order inside a bin.
+    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
+    """
+
+    start: Ints
+    order: Ints
+    columns: int
+    rows: int
+    width_deg: float
+    height_deg: float
+    bottom_deg: float
+
+
+def bin_points(points: Spherical, reach_deg: float, edges_deg: Floats) -> Bins:
+    """Sort points into bins; those farther than the reach from all beams are left out.
+
+    Parameters
+    ----------
+    reach_deg : greatest angle of neighbours, at most 45. edges_deg : borders of the beams' cells.
+    """
+    height = reach_deg / _BINS_IN_REACH
+    columns = int(360.0 / height)
+    bottom = edges_deg[0] - reach_deg
+    rows = int(np.ceil((edges_deg[-1] + reach_deg - bottom) / height))
+    row = np.floor((points.elevation_deg - bottom) / height).astype(np.int64)
+    column = np.floor((points.azimuth_deg + 180.0) / 360.0 * columns).astype(np.int64) % columns
+    inside = np.flatnonzero((row >= 0) & (row < rows))
+    flat = row[inside] * columns + column[inside]
+    counts = np.bincount(flat, minlength=rows * columns)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    order = inside[np.argsort(flat, kind="stable")]
+    return Bins(start, order, columns, rows, 360.0 / columns, height, bottom)
+
+
+@compiled()
+def fill_cells(
+    points: Spherical,
+    bins: Bins,
+    azimuth_deg: Floats,
+    elevation_deg: Floats,
+    reach_deg: float,
+    neighbours: int,
+    sparse: Bools,
+    depth_m: Floats,
+) -> None:
+    """Interpolate the range of sparse cells (Steps 5 to 7); without neighbours it stays as it is.
+
+    Parameters
+    ----------
+    azimuth_deg, elevation_deg : (columns,), (rows,) of the beams.
+    sparse : (rows, columns) cells to fill. depth_m : (rows, columns), changed in place.
+    """
+    nearest = np.empty(neighbours, np.int64)
+    gap = np.empty(neighbours)
+    for row in range(len(elevation_deg)):
+        for column in range(len(azimuth_deg)):
+            if sparse[row, column]:
+                beam = (azimuth_deg[column], elevation_deg[row])
+                found = _find_nearest(points, bins, beam, reach_deg, nearest, gap)
+                if found > 0:
+                    depth_m[row, column] = _weighted_range(points, nearest[:found], beam)
+
+
+@compiled_part()
+def _find_nearest(
+    points: Spherical,
+    bins: Bins,
+    beam_deg: tuple[float, float],
+    reach_deg: float,
+    nearest: Ints,
+    gap: Floats,
+) -> int:
+    """Nearest points, nearest first (``gap``: squared angles); returns how many there are.
+
+    Bins are searched in square rings around the beam's own bin until no point outside can be
+    nearer.
+    """
+    own_row = int(np.floor((beam_deg[1] - bins.bottom_deg) / bins.height_deg))
+    own_column = int(np.floor((beam_deg[0] + 180.0) / bins.width_deg))
+    step_deg = min(bins.width_deg, bins.height_deg)
+    found = 0
+    # One ring more than the reach, because the beam may lie anywhere in its own bin.
+    for ring in range(_BINS_IN_REACH + 2):
+        for row in range(max(own_row - ring, 0), min(own_row + ring + 1, bins.rows)):
+            stride = 1 if abs(row - own_row) == ring else max(2 * ring, 1)
+            for column in range(own_column - ring, own_column + ring + 1, stride):
+                found = _scan_bin(
+                    points,
+                    bins,
+                    row,
+                    column % bins.columns,
+                    beam_deg,
+                    reach_deg,
+                    nearest,
+                    gap,
+                    found,
+                )
+        searched_deg = ring * step_deg
+        if searched_deg >= reach_deg:
+            break
+        if found == len(nearest) and gap[found - 1] < searched_deg * searched_deg:
+            break
+    return found
+
+
+@compiled_part()
+def _scan_bin(
+    points: Spherical,
+    bins: Bins,
+    row: int,
+    column: int,
+    beam_deg: tuple[float, float],
+    reach_deg: float,
+    nearest: Ints,
+    gap: Floats,
+    found: int,
+) -> int:
+    """Insert the points of one bin into the sorted list of nearest ones; returns its new length."""
+    flat = row * bins.columns + column
+    for place in range(bins.start[flat], bins.start[flat + 1]):
+        i = bins.order[place]
+        along = abs(points.azimuth_deg[i] - beam_deg[0]) % 360.0
+        along = min(along, 360.0 - along)
+        up = points.elevation_deg[i] - beam_deg[1]
+        squared = along * along + up * up
+        if squared > reach_deg * reach_deg:
+            continue
+        slot = found
+        while slot > 0 and (
+            squared < gap[slot - 1] or (squared == gap[slot - 1] and i < nearest[slot - 1])
+        ):
+            slot -= 1
+        if slot == len(nearest):
+            continue
+        found = min(found + 1, len(nearest))
+        for k in range(found - 1, slot, -1):
+            gap[k], nearest[k] = gap[k - 1], nearest[k - 1]
+        gap[slot], nearest[slot] = squared, i
+    return found
+
+
+@compiled_part()
+def _weighted_range(points: Spherical, nearest: Ints, beam_deg: tuple[float, float]) -> float:
+    """Mean range weighted by the inverse distance to the beam (Eqs. 3 and 4)."""
+    bx, by, bz = _direction(beam_deg[0], beam_deg[1])
+    total, weights = 0.0, 0.0
+    on_beam, hits = 0.0, 0
+    for i in nearest:
+        ux, uy, uz = _direction(points.azimuth_deg[i], points.elevation_deg[i])
+        cx, cy, cz = uy * bz - uz * by, uz * bx - ux * bz, ux * by - uy * bx
+        distance = points.range_m[i] * np.sqrt(cx * cx + cy * cy + cz * cz)
+        if distance <= _ON_BEAM_M:
+            on_beam += points.range_m[i]
+            hits += 1
+        else:
+            total += points.range_m[i] / distance
+            weights += 1 / distance
+    return on_beam / hits if hits else total / weights
+
+
+@compiled_part()
+def _direction(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    horizontal = np.cos(elevation)
+    return horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)

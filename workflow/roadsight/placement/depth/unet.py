@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
-from roadsight.placement.depth.depth_filling import fill_linearly
-from roadsight.placement.depth.hybrid import preliminary_depth
-from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG, normalised
+from roadsight.base.errors import InputError
+from roadsight.base.kernels import compiled
+from roadsight.base.sections.sensing import CellFilling
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.sensors.sensors import Sensor
 
 Run = Callable[[Floats32], Floats32]
@@ -26,12 +28,14 @@ to refined ones alone (1, 1, h, w), as the paper's is."""
 
 HALO_CELLS = 56
 """How far around a cell the network looks, rounded up."""
+
 TILE_CELLS = 720
 """Columns of a map that the network refines at once: bounds the memory."""
 
 _CONTEXT_DEG = 2.5
 """How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
 field of view of -22.5 to 22.5."""
+
 _LARGEST_STEP = 0.05
 """Ranges of neighbouring cells that differ by a greater share are of two surfaces."""
 
@@ -184,3 +188,135 @@ def _between(one_m: Floats32, other_m: Floats32, share: Floats32) -> Floats32:
     with np.errstate(divide="ignore", invalid="ignore"):
         blended = 1.0 / ((1.0 - share) / one_m + share / other_m)
     return np.where(same, blended, nearer).astype(np.float32)
+
+
+# Linear interpolation in depth maps (paper 1, Fig. 12, the second way of deployment).
+
+
+def fill_linearly(depth_m: Floats32, wanted: Bools, *, wraps: bool = True) -> Floats32:
+    """Ranges of the wanted cells, 0 elsewhere; shape (rows, columns).
+
+    Known ranges stay. Others are interpolated between the nearest known cells of their row and of
+    their column, and the two are weighed by how near the nearest one is. Where only one side has a
+    known cell, its range is taken; without any the cell stays without return.
+
+    Parameters
+    ----------
+    depth_m : (rows, columns), 0 where nothing is known. wanted : cells that have a return.
+    wraps : whether the last column is beside the first one.
+    """
+    across = _along_rows(np.ascontiguousarray(depth_m), wraps)
+    upright = _along_rows(np.ascontiguousarray(depth_m.T), False)
+    total = across[1] + upright[1].T
+    mixed = across[0] * across[1] + (upright[0] * upright[1]).T
+    filled = np.divide(mixed, total, out=np.zeros_like(depth_m), where=total > 0)
+    return np.where(wanted, np.where(depth_m > 0, depth_m, filled), 0.0).astype(np.float32)
+
+
+def _along_rows(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
+    """Ranges interpolated along rows, and 1 / cells to the nearest known one, 0 if none."""
+    before_m, before = _last_known(depth_m, wraps)
+    mirrored = np.ascontiguousarray(depth_m[:, ::-1])
+    after_m, after = (part[:, ::-1] for part in _last_known(mirrored, wraps))
+    share = np.where(before > 0, np.where(after > 0, before / np.maximum(before + after, 1), 0), 1)
+    value = (1 - share) * before_m + share * after_m
+    nearest = np.minimum(np.where(before > 0, before, np.inf), np.where(after > 0, after, np.inf))
+    return value.astype(np.float32), (1 / nearest).astype(np.float32)
+
+
+@compiled()
+def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
+    """Of each cell the last known range before it in its row, and how many cells back, 0: none."""
+    rows, columns = depth_m.shape
+    range_m, gap = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
+    for row in range(rows):
+        known_m, cells = np.float32(0.0), 0
+        for step in range(2 * columns if wraps else columns):
+            column = step % columns
+            if known_m > 0:
+                range_m[row, column], gap[row, column] = known_m, cells
+            if depth_m[row, column] > 0:
+                known_m, cells = depth_m[row, column], 0
+            cells += 1
+    return range_m, gap
+
+
+# Sensors of training pairs (paper 1, section 2.4 and Table 1).
+
+ROWS = 500
+"""Rows of the paper's maps: -25 to 25 degrees (Table 1)."""
+
+RANGES_M = tuple(range(50, 201, 10))
+"""Ranges of the paper's pairs (Table 1)."""
+
+HEIGHTS_M = (4.0, 20.0)
+"""Heights of the paper's sensors above the ground."""
+
+
+def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
+    """Sensor of Table 1 with a random range that looks ``span_deg`` wide in a random direction."""
+    # On the lattice of the fine grid, and with the seam at 180 degrees never inside.
+    first = STEP_DEG * int(rng.integers(-1800, 1800 - round(span_deg / STEP_DEG) + 1))
+    range_m = float(rng.choice(RANGES_M))
+    return grid_sensor((first, first + span_deg), (-ROWS // 2, ROWS // 2), range_m)
+
+
+# What networks that refine depth maps, and their training, agree on (paper 1, Table 1).
+
+STEP_DEG = 0.1
+"""Cells of the fine grid, both ways."""
+
+MULTIPLE_CELLS = 8
+"""Both sides of what a network sees are multiples of this."""
+
+
+def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
+    """A map brought to 0 to 1, and its least and greatest range, m.
+
+    Cells without return count as range 0, and so become 0. A map of one value everywhere has no
+    contrast to stretch and is all 0.
+    """
+    low, high = float(depth_m.min(initial=np.inf)), float(depth_m.max(initial=0.0))
+    if not high > low:
+        return np.zeros_like(depth_m), high, high
+    return ((depth_m - np.float32(low)) / np.float32(high - low)).astype(np.float32), low, high
+
+
+# The ways to a depth map, by their names in the settings.
+
+_USUAL = CellFilling()
+
+_UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
+
+NETWORK_MODELS = tuple(_UNETS)
+"""Those that need a network."""
+
+Network = Callable[[Floats32], Floats32]
+"""Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w)."""
+
+
+def model_of_points(
+    name: str,
+    network: Network | None = None,
+    *,
+    filling: CellFilling = _USUAL,
+) -> Callable[..., Floats32]:
+    """Function of points, sensor, position and yaw that gives a depth map.
+
+    Parameters
+    ----------
+    name : a `DepthModel` but surfel. network : for `NETWORK_MODELS`.
+    filling : of sparse cells; the hybrid model alone has it.
+
+    Raises
+    ------
+    InputError : the model needs a network and there is none.
+    """
+    if name == "hybrid":
+        names = CellFilling.model_fields
+        return partial(hybrid_depth, **{name: getattr(filling, name) for name in names})
+    if name not in _UNETS:
+        return preliminary_depth
+    if network is None:
+        raise InputError("needs a network", where=name, hint="name its ONNX file")
+    return partial(_UNETS[name], run=network)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
-from roadsight.scene.surfels.samples import Samples
+from roadsight.scene.samples import Samples
 
 _COLUMNS = 12
 """Of a row of a view: see `_seen_from`."""

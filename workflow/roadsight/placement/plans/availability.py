@@ -17,7 +17,7 @@ from roadsight.placement.sight.common_traffic import (
     spans_in_the_way,
 )
 from roadsight.placement.sight.lanes import Traffic
-from roadsight.setcover.joint.joint_problem import JointProblem
+from roadsight.setcover.plans.joint import JointProblem
 
 _MOST_SHARE = 1 - 1e-9
 """Greatest share that a sensor's gain -log(1 - p) is taken of: certainty would gain without end,

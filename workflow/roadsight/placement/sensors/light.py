@@ -20,8 +20,10 @@ CLEAR_M = 20_000.0
 
 _CONTRAST = 3.912
 """Minus the logarithm of 2 %, the contrast that is just seen (Koschmieder)."""
+
 _REFERENCE_NM = 550.0
 """Wavelength at which visibility is defined: that of the eye."""
+
 _CLEAR_PER_M = 1e-12
 """Extinction, 1/m, below which ranges stay as they are: in r = W(a R) / a, both sides of the
 quotient go to 0, and at 0 it has no value."""
@@ -111,3 +113,25 @@ def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> Floats:
 def contrast_range_m(extinction_per_m: float) -> float:
     """Range at which air leaves 2 % of a contrast (Koschmieder): infinite in clear air."""
     return _CONTRAST / extinction_per_m if extinction_per_m > 0 else np.inf
+
+
+# Curvature of the Earth and refraction of the air along a beam.
+
+EARTH_RADIUS_M = 6_371_000.0
+"""Mean radius (IUGG)."""
+
+REFRACTION = 0.13
+"""Coefficient of refraction, Gauss' mean value of geodetic practice."""
+
+
+def rise_m(distance_m: ArrayLike) -> Floats:
+    """How far a level beam has risen above the level surface through its start.
+
+    d^2 (1 - k) / (2 R): the Earth curves away below it and refraction bends it back by a part k.
+
+    Parameters
+    ----------
+    distance_m : horizontal distance, any shape.
+    """
+    distance = np.asarray(distance_m, np.float64)
+    return np.asarray((1 - REFRACTION) * distance**2 / (2 * EARTH_RADIUS_M))

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.errors import InputError, nearest
+from roadsight.base.section import validated
 from roadsight.base.texts import read_yaml
-from roadsight.base.validation import validated
 from roadsight.placement.sensors.aimed import AimedSensor, Camera, Radar, Rosette
 from roadsight.placement.sensors.spinning import Sensor
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
-from roadsight.placement.sensors.earth import rise_m
-from roadsight.placement.sensors.rasters import (
+from roadsight.placement.sensors.light import rise_m
+from roadsight.placement.sensors.rays import (
     Raster,
     camera_raster,
     radar_raster,

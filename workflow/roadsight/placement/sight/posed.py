@@ -13,7 +13,7 @@ import numpy as np
 
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.kernels import compiled, compiled_part
-from roadsight.placement.sensors.rasters import PINHOLE, SPHERICAL, Raster
+from roadsight.placement.sensors.rays import PINHOLE, SPHERICAL, Raster
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.footprints import CLEAN_SHARE
 from roadsight.placement.sight.kinds import Packed

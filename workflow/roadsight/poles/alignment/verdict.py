@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.sections.poles import AlignmentLimits
+from roadsight.poles.alignment.dense import DenseFit, DenseTask
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import ALONG, CX, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 
 _PIXELS_OF_A_SIDE = 10
 """Edge pixels that a side of the road needs to count as seen."""
+
 _BEYOND_PX = 2.0
 """Slack in pixels at the end of the cloud's edges, as the kernel leaves at the ends of a piece."""
+
 _BEHIND_M = 1.0
 """Points less far in front of the camera have no row, as in the kernel."""
+
 _SHORTEST_M = 20.0
 """A cloud that ends nearer leaves so little to judge by that a heading passes which its expectation
 has a degree off: 12 of 12 generated images at 15 m. From 25 m on as few pass as by all pixels."""
+
+
+def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> float:
+    """Distance in pixels within which a share of the edge pixels is from their road edges.
+
+    Parameters
+    ----------
+    known : (m,) pixels that count; all if None.
+    """
+    off = np.abs(fit.residuals[:, 0] if known is None else fit.residuals[known, 0])
+    return float(np.quantile(off, share)) if len(off) else float("nan")
 
 
 @dataclass(frozen=True)
@@ -129,17 +145,6 @@ def reached(task: Task, fit: Fit) -> Bools:
         return np.ones(len(task.image_edges.uv_px), bool)
     rows = start[7] + np.exp(fit.unknowns[FOCAL]) * ahead[:, 1] / ahead[:, 2]
     return np.asarray(task.image_edges.uv_px[:, 1] >= rows.min() - _BEYOND_PX, bool)
-
-
-def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> float:
-    """Distance in pixels within which a share of the edge pixels is from their road edges.
-
-    Parameters
-    ----------
-    known : (m,) pixels that count; all if None.
-    """
-    off = np.abs(fit.residuals[:, 0] if known is None else fit.residuals[known, 0])
-    return float(np.quantile(off, share)) if len(off) else float("nan")
 
 
 def edge_sigma_px(fit: Fit, task: Task, known: Bools | None = None) -> float:
@@ -261,3 +266,73 @@ def with_shared_edges(fit: Fit, task: Task) -> Fit:
     told, _ = fit.taught(task.noise.own_share, 1.0)
     covariance = np.asarray(np.linalg.inv(told + task.prior_information), np.float64)
     return replace(fit, covariance=covariance)
+
+
+# Whether a dense alignment can be trusted, and if not, why.
+
+TOO_LITTLE = "too little of the cloud is in view"
+
+UNHELD = "the image does not hold the pose: its uncertainty is not finite"
+
+AT_BOUND = "the pose is at the bound of the search"
+
+NO_LEAD = "the best pose fits hardly better than random ones: image and cloud may be of two places"
+
+AMBIGUOUS = "ambiguous: two poses fit about as well"
+
+VAGUE_HEADING = "the heading is too uncertain"
+
+VAGUE_PLACE = "the place across the road is too uncertain"
+
+
+@dataclass(frozen=True)
+class DenseLimits:
+    """Bounds of what is accepted.
+
+    Parameters
+    ----------
+    samples : of the cloud in view. bound : offset in expected standard deviations beyond which a
+        pose lies outside what was searched. second : by how much more another pose must cost
+        (log-likelihood); below 6 wrong poses of the five streets pass.
+        lead : log-likelihood ratio beyond the best of many random poses: at right poses of five
+        streets 8.7 to 37, at wrong ones and with images of other streets up to 7.0 (100 fits).
+    sigma_heading_deg, sigma_lateral_m : one standard deviation.
+    """
+
+    samples: int = 300
+    bound: float = 4.0
+    second: float = 6.0
+    lead: float = 8.0
+    sigma_heading_deg: float = Limits.sigma_heading_deg
+    sigma_lateral_m: float = Limits.sigma_lateral_m
+
+    @classmethod
+    def of(cls, limits: Limits) -> DenseLimits:
+        """The same bounds of what a pose may be uncertain by."""
+        return cls(
+            sigma_heading_deg=limits.sigma_heading_deg, sigma_lateral_m=limits.sigma_lateral_m
+        )
+
+
+def dense_doubt(task: DenseTask, fit: DenseFit, limits: DenseLimits) -> str:
+    """Why a fit cannot be trusted, or "" if it can."""
+    with np.errstate(invalid="ignore"):
+        sigma = fit.sigma
+    doubts = (
+        (fit.samples < limits.samples, TOO_LITTLE),
+        (not (np.isfinite(sigma).all() and np.isfinite(fit.offsets).all()), UNHELD),
+        (bool((np.abs(fit.offsets) >= limits.bound * task.sigma).any()), AT_BOUND),
+        (fit.lead < limits.lead, NO_LEAD),
+        (fit.second < limits.second, AMBIGUOUS),
+        (sigma[YAW] > limits.sigma_heading_deg, VAGUE_HEADING),
+        (sigma[1] > limits.sigma_lateral_m, VAGUE_PLACE),
+    )
+    return next((reason for doubtful, reason in doubts if doubtful), "")
+
+
+def lost_views(reasons: Iterable[str]) -> str:
+    """What a drive loses, for people: how many of its views have no pose, and why."""
+    counted = Counter(reasons)
+    used, total = counted.pop("", 0), counted.total()
+    why = "; ".join(f"{count} x {reason}" for reason, count in sorted(counted.items()))
+    return f"{total} of {total + used} views are not used" + (f": {why}" if why else "")

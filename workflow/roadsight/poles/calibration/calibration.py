@@ -28,8 +28,7 @@ from roadsight.poles.alignment.pose import (
     YAW,
     Spread,
 )
-from roadsight.poles.alignment.search import search
-from roadsight.poles.alignment.solve import FINEST, Fit, Task
+from roadsight.poles.alignment.solve import FINEST, Fit, Task, search
 
 _HFOV_DEG = (8.0, 130.0)
 """Horizontal fields of view that a camera on a vehicle may have."""

@@ -17,6 +17,7 @@ import numpy as np
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.poles.alignment.dense import (
+    SIZE,
     DenseTask,
     Samples,
     align_dense,
@@ -25,9 +26,8 @@ from roadsight.poles.alignment.dense import (
     gather,
     moved,
 )
-from roadsight.poles.alignment.dense_kernel import SIZE
-from roadsight.poles.alignment.dense_verdict import DenseLimits
 from roadsight.poles.alignment.pose import FOCAL, Spread
+from roadsight.poles.alignment.verdict import DenseLimits
 from roadsight.poles.calibration.calibration import Mount
 
 DenseLoader = Callable[[Floats, Floats], DenseTask]

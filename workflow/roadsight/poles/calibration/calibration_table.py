@@ -15,8 +15,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED
 from roadsight.poles.alignment.landmarks import VIEWS, Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
-from roadsight.poles.alignment.search import search
-from roadsight.poles.alignment.solve import Fit
+from roadsight.poles.alignment.solve import Fit, search
 from roadsight.poles.calibration.calibration import Loader, Mount, apart_from_centre, usable
 
 Key = tuple[str, int, int]

@@ -7,32 +7,50 @@ add up to the bend, which the track knows in degrees.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from roadsight.base.arrays import Floats
-from roadsight.poles.alignment.chain import Normal, eliminated, solve_bordered
+from roadsight.base.arrays import Floats, Ints
+from roadsight.base.doubts import Doubt
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP, DriftModel
+from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED
-from roadsight.poles.alignment.pose import CX, FOCAL, SIZE, Spread
-from roadsight.poles.alignment.solve import Fit
+from roadsight.poles.alignment.landmarks import LandmarkNoise, landmark_misfit
+from roadsight.poles.alignment.locate import locate
+from roadsight.poles.alignment.pose import CX, FOCAL, INSETS, SIZE, Spread
+from roadsight.poles.alignment.solve import FINEST, Fit
 from roadsight.poles.alignment.ties import (
     HELD,
+    LENS,
     SCALES,
     Member,
+    Normal,
     drifting,
+    eliminated,
     first_place,
+    pose_misfit,
     shared_points,
+    solve_bordered,
     swaying,
+    told_by_others,
 )
-from roadsight.poles.calibration.calibration import Mount
+from roadsight.poles.calibration.calibration import (
+    Loader,
+    Mount,
+    no_surer,
+    usable,
+    with_centre_open,
+)
+from roadsight.poles.calibration.calibration_table import DriveCalibration
 
 _SOFT = 4.0 * SIZE
 """Squared distance of an image from what all say, in standard deviations, at which it counts a
 quarter: four times what is usual for so many unknowns."""
+
 _FLAT = 1e-9
 """Directions of an image's misfit this much flatter than the steepest tell nothing."""
 
@@ -152,3 +170,230 @@ def _misfit(own: Normal, step: Floats) -> float:
     """Squared distance of a step from what an image measured, in its standard deviations."""
     gap = own.right - own.matrix @ step
     return float(gap @ np.linalg.pinv(own.matrix, rcond=_FLAT, hermitian=True) @ gap)
+
+
+# Principal point of a drive's camera, as far as the whole drive tells it.
+#
+# A principal point that is off and a camera that is turned show nearly the same: only near the
+# image's sides do they differ, by the square of the distance from the middle. Errors of the map,
+# of masks and of pairs do that as well, and images that show one thing share its error. How sure
+# the point is follows from parts of the drive: left out in turn, they move it by what they are
+# worth.
+
+_PARTS = 6
+"""Parts of a drive that are left out in turn. They differ in their columns, since all images that
+show one share its error: on a street whose map is smeared by 0.2 m the point's sigma by parts is
+6 px, where the misfit alone says 1.3 and the point is 7 px off."""
+
+_BENT_PX = 0.3
+"""What is left of a lens's bending at the image's sides, one standard deviation: images taken for
+rectified are so to some tenths of a pixel. A principal point moves what is there by its shift times
+(half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22 degrees,
+where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma."""
+
+_MATTERS_DEG = 0.1
+"""Turn of the camera from which an open principal point is told: the limit of a right heading."""
+
+_TOLD = 2.0
+"""Standard deviations by which the point must be off the middle to be taken from the drive."""
+
+Solver = Callable[[Sequence[Tied], Mount], Mount]
+"""Mount of a drive from its images and what is known of it beforehand."""
+
+
+def told_centre(
+    images: Sequence[Tied], held: Mount, prior: Mount, centre_px: float, solve: Solver
+) -> tuple[Mount, bool]:
+    """Mount with the principal point that a drive tells, and whether it tells any.
+
+    One that is not clearly off the middle stays there, known as well as the drive can tell.
+
+    Parameters
+    ----------
+    held, prior : mount and what is known of it, with the point in the middle.
+    centre_px : one standard deviation of the point beforehand.
+    """
+    free = with_centre_open(prior, centre_px)
+    mount = solve(images, free)
+    sigma_px, sigma_focal = lens_sigmas(images, mount, free, solve)
+    off_px = abs(float(mount.mean[CX]))
+    if off_px < _TOLD * sigma_px:
+        held = with_centre_open(held, min(float(np.hypot(off_px, sigma_px)), centre_px))
+        return no_surer(held, FOCAL, sigma_focal), False
+    return no_surer(with_centre_open(mount, sigma_px), FOCAL, sigma_focal), True
+
+
+def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
+    """What a drive leaves open of its principal point, as far as it matters to headings."""
+    sigma_px = float(np.sqrt(mount.covariance[CX, CX]))
+    turns_deg = float(np.degrees(sigma_px / np.exp(mount.mean[FOCAL])))
+    # A point that is told lies off the middle; one that is not stays there but for rounding.
+    if abs(mount.mean[CX]) > sigma_px or turns_deg < _MATTERS_DEG:
+        return []
+    text = (
+        f"route {route}: it does not tell the principal point, which is taken in the middle of the"
+        f" images: headings may be off by {turns_deg:.1f} degrees (1 sigma), bearings near the"
+        " middle are not (give poles.intrinsics where the lens is known): 1 sigma, px"
+    )
+    return [Doubt("principal_point_open", "note", text, round(sigma_px, 1))]
+
+
+def with_lens_sigmas(images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver) -> Mount:
+    """Mount of a free principal point, its lens known as well as parts of the drive agree on it."""
+    sigma_px, sigma_focal = lens_sigmas(images, mount, prior, solve)
+    return no_surer(with_centre_open(mount, sigma_px), FOCAL, sigma_focal)
+
+
+def lens_sigmas(
+    images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver
+) -> tuple[float, float]:
+    """One standard deviation of the point (px) and of the logarithm of the focal length.
+
+    Of their misfit, or by what parts of the drive move them, if that is more (grouped jackknife):
+    columns are left out in turn, and with them all that is said about them; for the focal length,
+    so are stretches with all that their images say. What a lens may still bend is added to the
+    point's. Fewer columns than parts tell nothing of it beyond what is known.
+    """
+    own_px, own_focal = np.sqrt(np.diag(mount.covariance)[[CX, FOCAL]])
+    stretches = np.array_split(np.arange(len(images)), _PARTS)
+    by_stretch = _moved([_silent_in(images, part) for part in stretches], prior, solve)
+    columns = sorted({place for one in images for place in _columns(one)})
+    if len(columns) < _PARTS:
+        focal = max(own_focal, by_stretch[FOCAL])
+        return float(np.sqrt(prior.covariance[CX, CX])), float(focal)
+    parts = [set(columns[k::_PARTS]) for k in range(_PARTS)]
+    by_column = _moved([[_without(one, part) for one in images] for part in parts], prior, solve)
+    width_px = images[0].member.place.start.width_px
+    bent_px = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
+    focal = max(own_focal, by_stretch[FOCAL], by_column[FOCAL])
+    return float(np.hypot(max(by_column[CX], own_px), bent_px)), float(focal)
+
+
+def _moved(drives: Sequence[Sequence[Tied]], prior: Mount, solve: Solver) -> Floats:
+    """Standard deviations (k,) of the mean unknowns, from drives of which a part is left out."""
+    found = [solve(images, prior).mean for images in drives]
+    return np.asarray(np.sqrt((len(found) - 1) * np.var(found, axis=0)), np.float64)
+
+
+def _silent_in(images: Sequence[Tied], part: Ints) -> list[Tied]:
+    """A drive that says nothing on a stretch."""
+    found = list(images)
+    for number in part.tolist():
+        member = images[number].member
+        found[number] = Tied(replace(member, shared=member.shared[:0]), None)
+    return found
+
+
+_Column = tuple[float, float]
+
+
+def _columns(one: Tied) -> list[_Column]:
+    """Where the columns stand that an image shows, local metres."""
+    if one.fit is None or one.fit.matched is None:
+        return []
+    start = one.member.place.start
+    xy_m = one.fit.matched.mapped[:, :2] + [start.x_m, start.y_m]
+    return [(float(x), float(y)) for x, y in np.round(xy_m, 2)]
+
+
+def _without(one: Tied, left_out: set[_Column]) -> Tied:
+    """The same image without some of the columns."""
+    kept = np.array([place not in left_out for place in _columns(one)], bool)
+    if one.fit is None or kept.all():
+        return one
+    return replace(one, fit=_part(one, one.fit, kept))
+
+
+def _part(one: Tied, fit: Fit, kept: np.ndarray) -> Fit:
+    assert fit.matched is not None
+    assert fit.matched_normal is not None
+    assert fit.matched_gradient is not None
+    matched = fit.matched.part(kept)
+    start = one.member.place.start
+    vector = start.vector(np.array([start.x_m, start.y_m, start.z_road_m]))
+    _, normal, gradient, _ = landmark_misfit(
+        fit.unknowns, vector, matched.observed, matched.mapped, matched.sigma_rad, FINEST, True
+    )
+    return replace(
+        fit,
+        matched=matched,
+        normal=fit.normal - fit.matched_normal + normal,
+        gradient=fit.gradient - fit.matched_gradient + gradient,
+        matched_normal=normal,
+        matched_gradient=gradient,
+    )
+
+
+# A drive's calibration with what its images tell each other.
+
+log = logging.getLogger(__name__)
+
+Shared = Mapping[tuple[str, str], Floats]
+"""Pixels (n, 4) that two images share, by the names of both."""
+
+Chain = list[tuple[Place, Floats]]
+"""Places in the order of travel, each with the pixels (n, 4) that it shares with the next one."""
+
+
+def in_order(places: Sequence[Place], shared: Shared) -> Chain:
+    """Places of a drive in the order of travel with what each shares with the next one."""
+    ordered = sorted(places, key=lambda place: place.station_m)
+    pairs = [(one.image, other.image) for one, other in pairwise(ordered)]
+    empty = np.empty((0, 4))
+    return list(zip(ordered, [*(shared.get(p, empty) for p in pairs), empty], strict=True))
+
+
+def is_tied(chain: Chain) -> bool:
+    """Whether any two images of a drive share points."""
+    return any(len(points) for _, points in chain)
+
+
+def with_ties(
+    calibration: DriveCalibration,
+    places: Sequence[Place],
+    loaders: Sequence[Loader],
+    noise: LandmarkNoise,
+    starts: Mapping[str, Floats],
+    shared: Shared,
+) -> DriveCalibration:
+    """Calibration in which each image expects the pose that the other images tell it.
+
+    Parameters
+    ----------
+    starts : unknowns of the images, as far as they were found. shared : of images that follow each
+        other; the same calibration if there is none of this drive.
+    """
+    chain = in_order(places, shared)
+    if not is_tied(chain):
+        return calibration
+    load = {place.image: loader for place, loader in zip(places, loaders, strict=True)}
+    members = [
+        _member(calibration, place, load[place.image], noise, starts.get(place.image), points)
+        for place, points in chain
+    ]
+    mount, model = calibration.mount, calibration.drift.model
+    told = told_by_others(members, (mount.mean, mount.covariance), calibration.spread, model)
+    return replace(calibration, told=told)
+
+
+def _member(
+    calibration: DriveCalibration,
+    place: Place,
+    load: Loader,
+    noise: LandmarkNoise,
+    start: Floats | None,
+    shared: Floats,
+) -> Member:
+    """One image with what it measures by itself."""
+    mean, information = calibration.expected(place)
+    task = load(mean, information)
+    fits = locate(task, noise, start)
+    if not usable(task, fits):
+        return Member(place, mean, None, shared)
+    normal, gradient = fits[0].taught(OVERLAP, MARK_OVERLAP)
+    mount = calibration.mount
+    rest = (np.diag(mount.covariance) + calibration.spread.vector() ** 2)[POSED:]
+    # The drive has one lens: its error is no image's own.
+    rest[:LENS] = calibration.spread.vector()[POSED:INSETS] ** 2
+    measured, by_lens = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
+    return Member(place, fits[0].unknowns, measured, shared, by_lens)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from roadsight.base.arrays import Floats, Ints
-from roadsight.poles.alignment.association import own_variance
 from roadsight.poles.alignment.landmarks import (
     POSE,
     LandmarkNoise,
@@ -21,6 +20,7 @@ from roadsight.poles.alignment.landmarks import (
     observed_rows,
     slopes,
 )
+from roadsight.poles.alignment.locate import own_variance
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spread
 from roadsight.poles.alignment.solve import Task
 from roadsight.poles.calibration.calibration import Loader, Mount

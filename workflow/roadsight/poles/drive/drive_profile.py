@@ -3,40 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
+from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.lens import RadialLens
 from roadsight.poles.drive.drive_lenses import Key, lens_content
-from roadsight.poles.images.front_view import left_out_share
 from roadsight.poles.images.plumb_line import doubt, fit_lens
-from roadsight.poles.images.upright_curves import upright_curves
-from roadsight.scene.terrain.sight_lines import Height, hidden_road_share
+from roadsight.scene.terrain.tin import Height, hidden_road_share
 
 Picture = Callable[[str], Bytes]
 
 EYE_M = 2.2
 """Height of a camera above the road; what is known before any calibration."""
+
 REACH_M = 240.0
 """How far ahead road counts: the reach of the alignment by default."""
+
 FIELDS_DEG = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0, 110.0)
 """Horizontal fields of view for which the roadside is measured: a site's own one then changes the
 decision, not the profile."""
+
 _CAMERAS = 60
 """Cameras that the hidden road is estimated from, spread over all drives."""
+
 _PICTURES = 120
 """Images of a drive that its lens is measured in."""
+
 _ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
 """Offsets from the track at which poles may stand."""
+
 _ROADSIDE_STEP_M = 4.0
 """Distance between places along the track."""
+
 _ROAD_M = (3.0,)
 """Offsets of the road's edges from the track, before any edge is known."""
+
 _NEAR_M = 40.0
 """Range within which images measure a pole: the reach of the triangulation by default."""
+
 _VIEWS = 3
 """Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)."""
 
@@ -154,3 +165,130 @@ def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str,
     lens = pinhole if withheld else fitted.lens
     content = lens_content(key, lens, fitted.corner_px, fitted.sigma_px, "plumb lines")
     return content | {"curves": fitted.curves, "bow_px": fitted.bow_px, "withheld": withheld}
+
+
+# Which roadside the front view of a drive leaves out.
+
+
+def views_of_places(
+    places_m: ArrayLike,
+    cameras_m: ArrayLike,
+    heading_deg: ArrayLike,
+    half_angle_deg: float,
+    reach_m: float,
+) -> Ints:
+    """How many cameras have each place (n, 2) within reach and within an angle of their heading.
+
+    Parameters
+    ----------
+    cameras_m : (k, 2), heading_deg : (k,) clockwise from grid north.
+    """
+    places = np.asarray(places_m, np.float64).reshape(-1, 2)
+    count = np.zeros(len(places), np.int64)
+    headings = np.asarray(heading_deg, np.float64)
+    for camera, heading in zip(np.asarray(cameras_m, np.float64), headings, strict=True):
+        east, north = (places - camera).T
+        turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
+        away_m = np.hypot(east, north)
+        count += (away_m <= reach_m) & (away_m > 0) & (np.abs(turn) <= half_angle_deg)
+    return count
+
+
+def left_out_share(
+    places_m: ArrayLike,
+    cameras_m: ArrayLike,
+    heading_deg: ArrayLike,
+    hfov_deg: float,
+    reach_m: float,
+    views: int,
+) -> float:
+    """Share of the places beside a drive that its front view shows in too few images.
+
+    A place ``o`` metres aside enters the frame at ``o / tan(hfov / 2)``: nearer images show it no
+    more, farther ones than ``reach_m`` are too far to measure it.
+
+    Parameters
+    ----------
+    places_m : (n, 2) where poles may stand; those that no direction of view could show in
+        ``views`` images within ``reach_m`` do not count. views : images that a pole needs.
+
+    Returns
+    -------
+    share between 0 and 1; NaN where no place counts
+    """
+    anyhow = views_of_places(places_m, cameras_m, heading_deg, 90.0, reach_m) >= views
+    if not anyhow.any():
+        return float("nan")
+    seen = views_of_places(places_m, cameras_m, heading_deg, 0.5 * hfov_deg, reach_m)
+    return float((seen[anyhow] < views).mean())
+
+
+# Upright outlines in an image: edges of poles, posts, trunks and walls, to part of a pixel.
+
+_BLUR_PX = 1.0
+"""Standard deviation of the blur: less follows the noise, more joins the sides of thin posts."""
+
+_LEAST_STEP = 40.0
+"""Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel."""
+
+_UPRIGHT = 3.0
+"""An outline's step across must be this many times that along: within 18 degrees of upright."""
+
+_SHARE_OF_ROWS = 0.95
+"""Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer."""
+
+
+def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
+    """Edges that run from row to row within about 18 degrees of upright.
+
+    Parameters
+    ----------
+    image : (rows, columns, 3) or (rows, columns). min_height : lower ones are left out, as a share
+        of the image's height.
+
+    Returns
+    -------
+    curves (n, 2) of pixels u, v, one for each row, from the top; the leftmost top first
+    """
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _BLUR_PX)
+    gu, gv = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    curves = []
+    for sign in (1.0, -1.0):
+        step = np.maximum(sign * gu, 0.0)
+        ridge = _ridge(step) & (step > _LEAST_STEP) & (step > _UPRIGHT * np.abs(gv))
+        curves += _traced(ridge, step, min_height * image.shape[0])
+    return sorted(curves, key=lambda curve: (curve[0, 0], curve[0, 1], len(curve)))
+
+
+def _ridge(step: Floats32) -> Bools:
+    """Where the step is greatest among its neighbours in the row."""
+    ridge = np.zeros(step.shape, bool)
+    middle = step[:, 1:-1]
+    ridge[:, 1:-1] = (middle > step[:, :-2]) & (middle >= step[:, 2:])
+    return ridge
+
+
+def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
+    """Connected ridges with one pixel in nearly every row, each at the parabola's vertex."""
+    count, labels = cv2.connectedComponents(ridge.astype(np.uint8), connectivity=8)
+    v, u = np.nonzero(labels)
+    number = labels[v, u]
+    order = np.lexsort((u, v, number))
+    v, u, number = v[order], u[order], number[order]
+    starts = np.searchsorted(number, np.arange(1, count + 1))
+    curves = []
+    for start, end in pairwise(starts):
+        rows, columns = v[start:end], u[start:end]
+        if end - start < least_px or len(np.unique(rows)) < _SHARE_OF_ROWS * (end - start):
+            continue
+        curves.append(np.column_stack([_vertex(step, rows, columns), rows.astype(np.float64)]))
+    return curves
+
+
+def _vertex(step: Floats32, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+    """Columns where parabolas through three neighbours of a row are greatest."""
+    left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
+    bend = left - 2.0 * here + right
+    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
+    return columns + np.clip(shift, -0.5, 0.5)

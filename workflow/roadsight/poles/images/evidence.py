@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from roadsight.base.arrays import Bools, Bytes, Floats32
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 
 UPRIGHT, LEVEL, MARKED, GROUND, RAISED = range(5)
 """Fields: upright edges, level edges, markings, ground, things above it."""

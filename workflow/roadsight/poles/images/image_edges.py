@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.poles import EdgeTracing
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.lanes import (
     Curve,
     centre_lines,
@@ -21,20 +21,25 @@ from roadsight.poles.images.lanes import (
     scale_of,
     without_specks,
 )
-from roadsight.poles.images.nearest_borders import on_nearest_border
 
 LANE = "lane"
 """Kind of a point on a painted line."""
+
 BORDER = "border"
 """Kind of a point on the road's border."""
+
 _BLUR_PX = 5
 """Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts."""
+
 _MARGIN = 0.15
 """Share of the road's width by which the dividing line stays away from its borders."""
+
 _ROWS_OF_A_LINE = 12
 """Rows with two markings that a line half-way between them needs."""
+
 _EDGE_SPREAD = 1.5
 """How much farther from the border than usual a point of an edge line lies at most."""
+
 _EDGE_SLACK_PX = 2.0
 """The same in pixels, beside that: of the mask's border and of the line's centre."""
 
@@ -47,6 +52,7 @@ def _table(*classes: PixelClass) -> Bytes:
 
 # What a road's border encloses.
 _ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
+
 # Against these the road's border is not traced: they stand in front of it, or it drops out of
 # sight; a kerb is an edge by its own centre-line.
 _OCCLUDERS = _table(
@@ -321,3 +327,64 @@ def _nearest_road(line: Bytes, start: int, reach: int) -> int:
         if start + step < len(line) and line[start + step]:
             return start + step
     return -1
+
+
+# Road borders that bound the carriageway itself: the first on either side of the camera's path.
+#
+# Where forecourts and drives are paved like the street, the road of a mask runs on into them and
+# its far border says nothing about the street. A kerb ends the road even where paving goes on,
+# and what lies behind a parked car is not looked for.
+
+# 1 for the classes over which the road runs on.
+_OPEN = np.zeros(256, np.uint8)
+
+_OPEN[[PixelClass.ROAD, PixelClass.MARKING]] = 1
+
+_KERB = int(PixelClass.KERB)
+"""As a plain number, for comparisons with masks."""
+
+
+def on_nearest_border(
+    points: Floats,
+    mask: Bytes,
+    road: Bytes,
+    dividing: Floats,
+    reach_px: float,
+) -> Bools:
+    """Whether border points lie on the first border of their row and side.
+
+    Parameters
+    ----------
+    points : (n, 2) u, v. mask : project classes (rows, columns). road : the cleaned road, 0 or 1.
+    dividing : (rows,) column between left and right. reach_px : how far beside the border.
+    """
+    # Small holes that cleaning closed do not end the road, kerbs do.
+    open_road = np.where(mask == _KERB, 0, np.maximum(road, _OPEN[mask])).astype(np.uint8)
+    ends = _first_ends(open_road, (mask == _KERB).astype(np.uint8), dividing)
+    row = np.clip(np.round(points[:, 1]), 0, len(mask) - 1).astype(np.int64)
+    left = points[:, 0] < dividing[row]
+    low = np.where(left, ends[row, 0], ends[row, 2]) - reach_px
+    high = np.where(left, ends[row, 1], ends[row, 3]) + reach_px
+    return (points[:, 0] >= low) & (points[:, 0] <= high)
+
+
+@compiled()
+def _first_ends(road: Bytes, kerb: Bytes, dividing: Floats) -> Floats:
+    """Columns (rows, 4) between which the left and the right border lie; NaN without road."""
+    rows, columns = road.shape
+    ends = np.full((rows, 4), np.nan)
+    for row in range(rows):
+        middle = int(min(max(round(dividing[row]), 0), columns - 1))
+        for side in range(2):
+            step = 2 * side - 1
+            at = middle
+            if not road[row, at]:
+                continue
+            while 0 <= at < columns and road[row, at]:
+                at += step
+            beyond = at
+            while 0 <= beyond < columns and kerb[row, beyond]:
+                beyond += step
+            ends[row, 2 * side] = min(at, beyond)
+            ends[row, 2 * side + 1] = max(at, beyond)
+    return ends

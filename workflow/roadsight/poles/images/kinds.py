@@ -10,11 +10,31 @@ where the cloud's classes tell them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Literal
 
-from roadsight.poles.images.classes import PixelClass
-
 Shape = Literal["stem", "panel", "crown", "line", "block"]
+
+
+# Classes of mask pixels, whatever the network's own labels are.
+
+
+class PixelClass(IntEnum):
+    """What a pixel shows."""
+
+    OTHER = 0
+    ROAD = 1
+    MARKING = 2
+    KERB = 3
+    POLE = 4
+    SIGN = 5
+    VEGETATION = 6
+    BUILDING = 7
+    VEHICLE = 8
+    SKY = 9
+    GUARDRAIL = 10
+    TREE = 11
+    WIRE = 12
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from roadsight.base.arrays import Bytes, Floats, Ints
 from roadsight.geometry.cameras import project
-from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
 _MARGIN = 0.15

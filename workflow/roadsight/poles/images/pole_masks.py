@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.sections.poles import PoleMasks
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.images.kinds import KINDS, PixelClass
+from roadsight.poles.images.lanes import scale_of
 
 PUBLISHED_HEIGHT_PX = 1200
 """Height of the study's images, for which its thresholds in pixels hold."""
+
 _HIDERS = (
     PixelClass.VEHICLE,
     PixelClass.TREE,
@@ -29,14 +30,16 @@ _HIDERS = (
     PixelClass.BUILDING,
 )
 """Classes that hide a foot where they lie below it; plants may be grass, and are told apart."""
+
 _LINE_ROUNDS = 10
 """Rounds of reweighting for least absolute errors."""
 
-
 _JOIN_SHARE = 0.5
 """Pieces of one axis are joined over gaps up to this share of the longer one's height."""
+
 _FOOT_PX = 12.0
 """Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
+
 _BOARDS = (
     PixelClass.OTHER,
     PixelClass.VEHICLE,
@@ -46,16 +49,21 @@ _BOARDS = (
 )
 """Classes for which the shipped network takes white panels. It takes green ones for road, which
 also ends behind posts: with it, strays outweigh what is gained."""
+
 _COMPACT = 0.45
 """Share of its box that a board fills; half of it is what a diamond does."""
+
 _ON_A_POST = 0.8
 """Share of the rows below a board, as many as it has, in which its post is seen."""
+
 _POST_SHARE = 0.35
 """Share of what is below a board that its post takes at most."""
+
 _POST_ABOVE = 1.0
 """Heights of a board by which its post may go on above it: utility poles go on above what hangs on
 them, such as transformers. One that is not seen in most of the rows just above the board, half as
 many as it has, begins higher up: a pole behind it."""
+
 _POST_PX = 40.0
 """Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
 in a view of 20 degrees."""
@@ -369,3 +377,82 @@ def _touches(piece: _Piece, mask: Bytes, other: PixelClass) -> bool:
     half = int(np.ceil(piece.middle_width / 2)) + 1
     columns = np.clip(centre[:, None] + [-half, 0, half], 0, mask.shape[1] - 1)
     return bool(np.count_nonzero((mask[rows[:, None], columns] == other).any(axis=1)) > 2)
+
+
+# Poles in a mask by the pole study's rules (section 3.1; numbers of the authors' code).
+#
+# Numbers in pixels are of an image 1200 px high and are scaled with the height. The authors'
+# labels are stored in 8 bits, so that the 257th component is the first again; here they are not.
+
+_WIDER_PX, _TALLER_PX = 10.0, 20.0
+"""A pole's box is wider and taller than this."""
+
+_ASPECT = 10.0
+"""Height over width from which a component is a pole as it is; below it, what is as long for its
+width across its own axes is one after its wires are removed."""
+
+_KERNEL_PX = 10
+"""Side of the square by which wires are removed."""
+
+
+def published_instances(mask: Bytes) -> list[Instance]:
+    """Poles in a mask (rows, columns) of project classes, left to right.
+
+    The foot is in the lowest row of a component, in the column of its centroid. Rules that need the
+    distance are those of `sightings`. All components are given; ``reason`` says which are no poles.
+    """
+    scale = scale_of(mask.shape[0])
+    poles = (mask == PixelClass.POLE).view(np.uint8)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    signs = cv2.dilate((mask == PixelClass.SIGN).view(np.uint8), cross)
+    count, labels, stats, centres = cv2.connectedComponentsWithStats(
+        poles, connectivity=8, ltype=cv2.CV_32S
+    )
+    side = max(round(_KERNEL_PX * scale), 2)
+    found = []
+    for number in range(1, count):
+        left, top, width, height, pixels = (int(value) for value in stats[number])
+        box = slice(top, top + height), slice(left, left + width)
+        own = (labels[box] == number).view(np.uint8)
+        u_foot, reason = float(centres[number, 0]), ""
+        if width <= _WIDER_PX * scale or height <= _TALLER_PX * scale:
+            reason = "too small"
+        elif height / width < _ASPECT:
+            if _elongation(own) < _ASPECT:
+                reason = "not slender"
+            else:
+                # A margin of nothing, so that the frame of the box holds nothing back.
+                wide = np.pad(own, side)
+                thick = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+                columns = np.flatnonzero(thick.any(axis=0))
+                reason = "" if len(columns) else "wires alone"
+                if len(columns):
+                    u_foot = float(np.argwhere(thick)[:, 1].mean()) - side + left
+        found.append(
+            Instance(
+                kind="pole",
+                u_foot=u_foot,
+                v_foot=top + height - 0.5,
+                u_min=left - 0.5,
+                v_min=top - 0.5,
+                u_max=left + width - 0.5,
+                v_max=top + height - 0.5,
+                slope=0.0,
+                width_px=float(np.median(own.sum(axis=1))),
+                pixels=pixels,
+                foot="visible",
+                cut=cut_sides(left, left + width - 1, top, top + height - 1, mask.shape),
+                touches_sign=bool((signs[box] & own).any()),
+                reason=reason,
+            )
+        )
+    return sorted(found, key=lambda one: (one.u_foot, one.v_foot))
+
+
+def _elongation(own: Bytes) -> float:
+    """Longer over shorter axis of the ellipse that has a component's second moments."""
+    place = np.argwhere(own).astype(np.float64)
+    # A pixel is a square of side 1: it has a second moment of its own.
+    spread = np.cov(place.T, bias=True) + np.eye(2) / 12.0
+    least, most = np.linalg.eigvalsh(spread)
+    return float(np.sqrt(most / least))

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Literal
 
+import cv2
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import SideViews
 from roadsight.base.shards import Shard
+from roadsight.geometry.cameras import Intrinsics, wrap_deg
+from roadsight.geometry.lens import RadialLens
 
 ViewName = Literal["front", "left", "right"]
+
 VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
 """Views in the order in which they are looked at."""
+
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
 """Column of the frames that names each view's image."""
 
@@ -53,3 +63,220 @@ def views_of(frames: pd.DataFrame, wanted: tuple[str, ...] = VIEWS) -> Iterator[
             path = row.get(_PATHS[view])
             if view in wanted and isinstance(path, str) and path:
                 yield View(row["image"], view, path, view_name(row["image"], view))
+
+
+# Images of a lens turned into those of a pinhole camera.
+
+
+def source_places(lens: RadialLens, size_px: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Where each pixel of a pinhole's map comes from in the lens's map: (rows, columns, 2) u, v.
+
+    Parameters
+    ----------
+    lens : of the image. size_px : width and height of the image.
+    shape : rows and columns of the map, which may be coarser than the image.
+    """
+    per_px = np.array([size_px[0] / shape[1], size_px[1] / shape[0]])
+    uv = np.indices(shape, np.float64)[::-1].reshape(2, -1).T
+    image_uv = (uv + 0.5) * per_px - 0.5
+    return ((lens.distort(image_uv) + 0.5) / per_px - 0.5).reshape(*shape, 2)
+
+
+def straightened(image: NDArray, places: Floats, smooth: bool = False) -> NDArray:
+    """Map or image as a pinhole camera would have taken it; 0 where the lens showed nothing.
+
+    Parameters
+    ----------
+    image : (rows, columns) or (rows, columns, channels), uint8 or uint16.
+    places : see `source_places`. smooth : whether to interpolate; classes must not be.
+    """
+    uv = np.nan_to_num(places, nan=-1e6).astype(np.float32)
+    way = cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    turned = cv2.remap(
+        image, uv[..., 0], uv[..., 1], way, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return np.asarray(turned, image.dtype)
+
+
+# Left, front and right view as one: cameras that turn about one centre (paper 2, section 3.2.3).
+#
+# The paper lays the views side by side and uses the front view's parameters for all (`beside`).
+# Else each view is measured with a camera of its own, turned from the front camera by a known
+# yaw: nothing is resampled; objects that cross a seam, or that two views show, become one
+# sighting.
+
+_SIGMAS = 3.0
+"""Standard deviations within which bearings and distances of one object agree."""
+
+_SEAM_DEG = 0.5
+"""Bearings of what the frame cuts in both views may differ by this: either view shows a part
+only."""
+
+
+@dataclass(frozen=True)
+class ViewOffsets:
+    """Yaw of the side views from the front view, clockwise, degrees.
+
+    Parameters
+    ----------
+    left_deg, right_deg : for example -60 and 60.
+    """
+
+    left_deg: float = SideViews().left_yaw_deg
+    right_deg: float = SideViews().right_yaw_deg
+
+    def of(self, view: str) -> float:
+        """Yaw of a view; 0 for the front."""
+        return {"front": 0.0, "left": self.left_deg, "right": self.right_deg}[view]
+
+
+def turned(cam_from_world: Floats, yaw_deg: float) -> Floats:
+    """Rotation (3, 3) of a camera that is turned clockwise about the front camera's down axis."""
+    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    side_from_front = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    return side_from_front @ cam_from_world
+
+
+def side_intrinsics(front: Intrinsics, width_px: int, height_px: int) -> Intrinsics:
+    """Intrinsics of a side view of another size, with the same field of view down the image."""
+    if (width_px, height_px) == (front.width_px, front.height_px):
+        return front
+    return Intrinsics.centred(width_px, height_px, front.focal_px * height_px / front.height_px)
+
+
+def beside(front: Intrinsics, view: str, width_px: int, height_px: int) -> Intrinsics:
+    """Intrinsics of a side view that goes on in the front view's plane (section 3.2.3).
+
+    The study lays the three images side by side and takes the front view's parameters for all.
+
+    Raises
+    ------
+    InputError : the view is not as large as the front view.
+    """
+    if (width_px, height_px) != (front.width_px, front.height_px):
+        raise InputError(
+            "a stitched side view must be as large as the front view",
+            where=f"sightings.side_views: {view} view",
+            found=f"{width_px} x {height_px} px",
+            allowed=f"{front.width_px} x {front.height_px} px",
+            hint="side_views: found or given takes views of any size",
+        )
+    shift = {"left": front.width_px, "front": 0, "right": -front.width_px}[view]
+    return replace(front, cx_px=front.cx_px + shift)
+
+
+def merge_views(sightings: pd.DataFrame) -> pd.DataFrame:
+    """One sighting of what two views of a place show; the other is no longer kept.
+
+    Two kept sightings of one image and kind in different views are one object if their bearings
+    agree within three sigmas and their own width, or half a degree if the frame cuts both. The one
+    that is not cut stays; of two cut ones the front view stays and takes the bearing of both
+    together, each weighed by its width.
+
+    Parameters
+    ----------
+    sightings : image, view, kind, bearing_grid_deg, sigma_bearing_deg, width_deg, depth_m,
+        sigma_depth_m, cut_side (bool), kept, reason; depth_lidar_m and sigma_place_m (error of the
+        camera's place along the ray, which the distance of a column has not) where they are known.
+
+    Returns
+    -------
+    the same rows in the same order, with bearing_grid_deg, kept and reason changed
+    """
+    merged = sightings.copy()
+    for _, group in merged[merged["kept"]].groupby(["image", "kind"], sort=True):
+        if group["view"].nunique() > 1:
+            _merge_group(merged, group)
+    return merged
+
+
+def _merge_group(merged: pd.DataFrame, group: pd.DataFrame) -> None:
+    pairs = []
+    for i in group.index[group["view"] == "front"]:
+        for j in group.index[group["view"] != "front"]:
+            apart = _apart_deg(merged.loc[i], merged.loc[j])
+            if apart is not None:
+                pairs.append((apart, i, j))
+    used: set[int] = set()
+    for _, i, j in sorted(pairs):
+        if i in used or j in used:
+            continue
+        used |= {i, j}
+        _join(merged, i, j)
+
+
+def _apart_deg(front: pd.Series, side: pd.Series) -> float | None:
+    """Angle between two sightings, None if they are two objects."""
+    apart = abs(float(wrap_deg(front["bearing_grid_deg"] - side["bearing_grid_deg"])))
+    sigma = np.hypot(front["sigma_bearing_deg"], side["sigma_bearing_deg"])
+    reach = _SIGMAS * sigma + 0.5 * (front["width_deg"] + side["width_deg"])
+    if front["cut_side"] and side["cut_side"]:
+        reach = max(reach, _SEAM_DEG)
+    depth_sigma = np.hypot(front["sigma_depth_m"], side["sigma_depth_m"])
+    ends = [np.isfinite(one.get("depth_lidar_m", np.nan)) for one in (front, side)]
+    if ends[0] != ends[1]:
+        depth_sigma = np.hypot(depth_sigma, side.get("sigma_place_m", 0.0))
+    depths_differ = abs(front["depth_m"] - side["depth_m"]) > max(_SIGMAS * depth_sigma, 1.0)
+    return None if apart > reach or depths_differ else apart
+
+
+def _join(merged: pd.DataFrame, front: int, side: int) -> None:
+    cut = merged["cut_side"]
+    stays, goes = (side, front) if cut[front] and not cut[side] else (front, side)
+    if cut[front] and cut[side]:
+        width = merged.loc[[front, side], "width_deg"].to_numpy(np.float64)
+        base, other = merged.loc[[front, side], "bearing_grid_deg"].to_numpy(np.float64)
+        turn = float(wrap_deg(other - base))
+        merged.at[stays, "bearing_grid_deg"] = (base + turn * width[1] / width.sum()) % 360.0
+    merged.at[goes, "kept"] = False
+    merged.at[goes, "reason"] = f"same as in the {merged['view'][stays]!s} view"
+
+
+def stitched_picture(
+    images: dict[str, Bytes],
+    front: Intrinsics,
+    offsets: ViewOffsets,
+    width_px: int = 1600,
+) -> Bytes:
+    """Views of one place on one cylinder about the camera, for people to look at.
+
+    Parameters
+    ----------
+    images : BGR image of each view that there is; the front must be there. front : its camera.
+    width_px : width of the picture; the height follows.
+
+    Returns
+    -------
+    BGR (rows, width_px, 3); black where no view looks; the front view lies on top
+    """
+    cameras = {
+        view: side_intrinsics(front, image.shape[1], image.shape[0])
+        for view, image in images.items()
+    }
+    reach = [
+        offsets.of(view) + side * cameras[view].hfov_deg / 2 for view in images for side in (-1, 1)
+    ]
+    low, high = np.radians(min(reach)), np.radians(max(reach))
+    azimuth = np.linspace(low, high, width_px)
+    per_px = (high - low) / (width_px - 1)
+    up = (front.cy_px + 0.5) / front.focal_px
+    down = (front.height_px - 0.5 - front.cy_px) / front.focal_px
+    slope = np.arange(-up, down, per_px)
+    picture = np.zeros((len(slope), width_px, 3), np.uint8)
+    for view in sorted(images, key=lambda name: name == "front"):
+        camera, turn = cameras[view], azimuth - np.radians(offsets.of(view))
+        ahead = np.cos(turn) > 0.05
+        tangent = np.tan(np.where(ahead, turn, 0.0))
+        u = np.where(ahead, camera.cx_px + camera.focal_px * tangent, -1e6)
+        v = camera.cy_px + camera.focal_px * slope[:, None] * np.hypot(1.0, tangent)
+        map_u = np.broadcast_to(u, v.shape).astype(np.float32)
+        seen = camera.contains(np.column_stack([map_u.ravel(), v.ravel()]), 1.0).reshape(v.shape)
+        drawn = cv2.remap(
+            images[view],
+            map_u,
+            v.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        picture[seen] = drawn[seen]
+    return picture

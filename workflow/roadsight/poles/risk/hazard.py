@@ -36,7 +36,7 @@ from roadsight.poles.risk.clear_zone import (
 )
 from roadsight.poles.risk.cross_sections import CrossSection, slope_text
 from roadsight.poles.risk.inventory import NO_INVENTORY
-from roadsight.poles.risk.roads import Located, Roads, roads_of
+from roadsight.poles.risk.roads import Located, Roads, RouteTracks, roads_of
 from roadsight.poles.risk.roadside import (
     Edges,
     Surroundings,
@@ -60,7 +60,6 @@ from roadsight.poles.risk.roadside_rating import (
     rating_factor,
 )
 from roadsight.poles.risk.shielding import Demand, shielding
-from roadsight.poles.risk.tracks import RouteTracks
 
 Height = Callable[[Floats, Floats], Floats]
 

@@ -14,8 +14,12 @@ from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
-from roadsight.poles.images.published_masks import published_instances
+from roadsight.poles.images.pole_masks import (
+    PUBLISHED_HEIGHT_PX,
+    Instance,
+    find_instances,
+    published_instances,
+)
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import DepthFit, HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
@@ -23,18 +27,16 @@ from roadsight.poles.sightings.sighting_bearing import (
     SNAP_DEPTHS,
     TURNED_COLUMNS,
     ViewCamera,
-    image_bearings,
-    matching_columns,
-    nearest_projected,
-    turned_by_camera,
-    with_place,
-)
-from roadsight.poles.sightings.sighting_depth import (
     behind_plants,
     fit_view_depth,
     foot_distances,
     ground_distances,
+    image_bearings,
+    matching_columns,
+    nearest_projected,
     network_distances,
+    turned_by_camera,
+    with_place,
 )
 
 _MODEL_SHARE = 0.05

@@ -24,35 +24,50 @@ from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_a
 
 _LAYER_M = 0.3
 """Height of a slice: lower ones have too few returns, higher ones blur leaning stems."""
+
 _CELL_M = 0.1
 """Cells of a slice in plan."""
+
 _HEIGHTS_M = (0.6, 6.0)
 """Heights above the ground between which stems are looked for: above grass, and not where a scanner
 on a vehicle, which looks hardly upwards, sees little."""
+
 _CORE_CELLS = 2
 """Radius of the disc that holds a stem."""
+
 _WIDE_CELLS = 6
 """Distance of the discs around it, and the range in which its disc must be the fullest."""
+
 _DIRECTIONS = 8
 """Discs around it."""
+
 _DENSE = 0.25
 """A disc around it is dense from this share of its own returns on."""
+
 _MOST_DENSE = 2
 """Dense discs that a stem may have around it."""
+
 _WALL = 0.7
 """From this share of its own returns on, a single disc around it makes it a wall's."""
+
 _FEWEST_IN_SLICE = 8
 """Returns in a slice's disc."""
+
 _SLICES = 4
 """Slices of a stem."""
+
 _SHIFT_M = 0.15
 """How far aside the disc of the next slice, and any disc from their middle, may be."""
+
 _BENT_M = 0.06
 """Root mean square by which discs may be off a straight axis."""
+
 _STEEPEST = 0.15
 """Lean of a stem at most, metres aside per metre up."""
+
 _NEAR_M = 0.6
 """Returns within this of the middle give the axis."""
+
 _SAME_M = 0.8
 """A stem this near to a column is the same."""
 
@@ -225,3 +240,222 @@ def with_stems(columns: PoleColumns, stems: PoleColumns) -> PoleColumns:
             for f in fields(columns)
         )
     )
+
+
+# How pole-like columns lean, and the arms near their tops, from their returns.
+
+_LOWEST_M = 1.0
+"""Returns below this may be of grass, shrubs and fences."""
+
+_HEAD_M = 1.7
+"""Below the top by this much begin arms, lamps, wires, and transformers that hang on the stem."""
+
+_NEAR_M_STEM_SHAPES = 0.6
+"""Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
+from end to end."""
+
+_FEWEST = 8
+"""Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart."""
+
+_LEAST_SPAN_M = 2.0
+"""Height between its lowest and highest return, the same."""
+
+_THIN_M = 0.1
+"""Cells of which each counts as one return."""
+
+_STARTS = 60
+"""Returns between which lines are tried, spread over all heights."""
+
+_PAIRS = 400
+"""Pairs of them that are tried, spread over all."""
+
+_OWN_M = 0.22
+"""Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of
+3 cm. Wires that meet it and transformers lie farther off for the most part."""
+
+_ROUNDS = 5
+"""Rounds of fitting, after which the same returns are a stem's."""
+
+_SURFACE_M = 0.09
+"""Noise of a return about the axis before any is seen, each coordinate: a radius of 13 cm."""
+
+_SURFACE_WORTH = 4.0
+"""Returns that this counts for: few returns of one side lie on a line that is not the axis."""
+
+_ARM_HEIGHT_M = 1.2
+"""Arms begin this near to the top."""
+
+_ARM_BEGINS_M = 0.3
+"""Returns nearer to the axis are of the stem and what hangs on it."""
+
+_ARM_ENDS_M = 2.5
+"""Arms are not longer: brackets of lamps reach 2.5 m, crossarms 1.5 m."""
+
+_ARM_WIDE_M = 0.15
+"""Half the width of an arm, with the noise of its returns."""
+
+_ARM_GAP_M = 0.8
+"""An arm has no greater gap: 4 returns a metre leave one this long once in 25 arms of 1 m."""
+
+_WIRE_M = (2.6, 6.0)
+"""What goes on between these distances is a wire."""
+
+_WIRE_WIDE_M = 0.3
+"""Half the width in which a wire is looked for: it sags and need not pass over the axis."""
+
+_BESIDE_WIRE_DEG = 20.0
+"""Returns this near to a wire's direction may be its own."""
+
+_FEWEST_OF_ARM = 3
+"""Returns that make an arm, or a wire."""
+
+_STEP_DEG = 3.0
+"""Step of the directions in which arms are looked for."""
+
+_DIRECTIONS_STEM_SHAPES = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
+
+
+@dataclass(frozen=True)
+class StemShapes:
+    """Shapes of columns, NaN where the returns do not tell.
+
+    Parameters
+    ----------
+    lean_deg : (n,) from the vertical. lean_azimuth_deg : (n,) to where, clockwise from grid north.
+    sigma_lean_deg : (n,) of the lean in either direction; a lean below twice of it is none.
+    arm_m : (n,) reach of the longest arm near the top from the axis. arm_sides : (n,) 2 where it
+    goes on to the other side (a crossarm), 1 where not (a lamp), 0 where none is seen.
+    """
+
+    lean_deg: Floats
+    lean_azimuth_deg: Floats
+    sigma_lean_deg: Floats
+    arm_m: Floats
+    arm_sides: Floats
+
+
+def stem_shapes(
+    columns: PoleColumns,
+    xyz_m: Floats,
+    above_ground_m: Floats,
+    cls: NDArray,
+    excluded_classes: Sequence[int] = NO_COLUMN,
+) -> StemShapes:
+    """Shapes of columns from the returns around them.
+
+    Parameters
+    ----------
+    xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown. cls : ASPRS
+    class (n,). excluded_classes : those that no return of a pole has.
+    """
+    found = np.full((len(columns), 5), np.nan)
+    used = ~np.isin(cls, excluded_classes)
+    points = _around(columns.xy_m, xyz_m[used], above_ground_m[used])
+    if len(points):
+        tree = cKDTree(points[:, :2])
+        for row, (axis, top_m) in enumerate(zip(columns.xy_m, columns.top_m, strict=True)):
+            own = tree.query_ball_point(axis, _WIRE_M[1])
+            around = points[np.sort(np.array(own, np.int64))] - [*axis, 0.0]
+            slope, sigma, middle = _line(around, top_m)
+            lean = np.degrees(np.arctan(np.hypot(*slope)))
+            azimuth = np.degrees(np.arctan2(*slope)) % 360.0
+            if np.isfinite(lean):
+                around[:, :2] -= middle + around[:, 2:] * slope
+            found[row] = lean, azimuth, np.degrees(sigma), *_arm(around, top_m)
+    return StemShapes(*np.ascontiguousarray(found.T))
+
+
+def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
+    """Returns (n, 3) that may be of stems, arms and wires, with heights above the ground.
+
+    One for each small cell, their mean, so that a dense cloud takes no longer and counts no more.
+    """
+    if not len(axes_m):
+        return np.empty((0, 3))
+    with np.errstate(invalid="ignore"):
+        used = above_ground_m > _LOWEST_M
+    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
+    away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
+    points = points[np.isfinite(away)]
+    cell = np.floor(points / _THIN_M).astype(np.int64)
+    _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    own = own.ravel()
+    means = [np.bincount(own, axis, len(count)) / count for axis in points.T]
+    return np.column_stack(means)
+
+
+def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
+    """Slope (2,) of a stem, metres aside per metre up, its sigma, and its place at height 0."""
+    unknown = np.full(2, np.nan)
+    stem = (np.hypot(*points[:, :2].T) <= _NEAR_M_STEM_SHAPES) & (points[:, 2] <= top_m - _HEAD_M)
+    xy, height = points[stem, :2], points[stem, 2]
+    if len(height) < _FEWEST or np.ptp(height) < _LEAST_SPAN_M:
+        return unknown, float("nan"), unknown
+    design = np.column_stack([np.ones(len(height)), height])
+    line = _start(xy, height)
+    for _ in range(_ROUNDS):
+        own = np.hypot(*(xy - design @ line).T) <= _OWN_M
+        if own.sum() < _FEWEST or np.ptp(height[own]) < _LEAST_SPAN_M:
+            return unknown, float("nan"), unknown
+        line = np.linalg.lstsq(design[own], xy[own], rcond=None)[0]
+    off = np.hypot(*(xy[own] - design[own] @ line).T)
+    squares = (off**2).sum() + 2 * _SURFACE_WORTH * _SURFACE_M**2
+    noise = np.sqrt(squares / (2 * own.sum() - 4 + 2 * _SURFACE_WORTH))
+    spread = np.sqrt(((height[own] - height[own].mean()) ** 2).sum())
+    return line[1], float(np.hypot(noise / spread, _without_one(design[own], xy[own]))), line[0]
+
+
+def _without_one(design: Floats, xy: Floats) -> float:
+    """Sigma of a slope by the jackknife: how much hangs on single returns (Efron 1982)."""
+    square = np.linalg.inv(design.T @ design)
+    gain = design @ square
+    residual = xy - gain @ (design.T @ xy)
+    shift = gain[:, 1:] * residual / (1.0 - (gain * design).sum(axis=1))[:, None]
+    n = len(xy)
+    return float(np.sqrt((n - 1) / n * ((shift - shift.mean(axis=0)) ** 2).sum() / 2))
+
+
+def _start(xy: Floats, height: Floats) -> Floats:
+    """Of the lines through two returns the one of least squares, none counted beyond `_OWN_M`."""
+    order = np.argsort(height, kind="stable")
+    order = order[np.unique(np.linspace(0, len(order) - 1, _STARTS).astype(np.int64))]
+    low, high = np.triu_indices(len(order), 1)
+    rise = height[order[high]] - height[order[low]]
+    pairs = np.flatnonzero(rise >= 0.5 * _LEAST_SPAN_M)
+    pairs = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), _PAIRS)).astype(np.int64)]
+    below, above = order[low[pairs]], order[high[pairs]]
+    slope = (xy[above] - xy[below]) / rise[pairs, None]
+    start = xy[below] - height[below, None] * slope
+    lines = start[:, None] + height[:, None] * slope[:, None]
+    cost = np.minimum(((xy - lines) ** 2).sum(axis=2), _OWN_M**2).sum(axis=1)
+    best = int(np.argmin(cost))
+    return np.stack([start[best], slope[best]])
+
+
+def _arm(points: Floats, top_m: float) -> tuple[float, float]:
+    """Reach of the longest arm, NaN where none is seen, and its sides."""
+    xy = points[points[:, 2] >= top_m - _ARM_HEIGHT_M, :2]
+    way = np.stack([np.sin(_DIRECTIONS_STEM_SHAPES), np.cos(_DIRECTIONS_STEM_SHAPES)])
+    along, across = xy @ way, np.abs(xy @ np.stack([way[1], -way[0]]))
+    far = (along >= _WIRE_M[0]) & (along <= _WIRE_M[1]) & (across <= _WIRE_WIDE_M)
+    beside = int(_BESIDE_WIRE_DEG / _STEP_DEG)
+    wire = far.sum(axis=0) >= _FEWEST_OF_ARM
+    wire = np.any([np.roll(wire, turn) for turn in range(-beside, beside + 1)], axis=0)
+    inside = (along >= _ARM_BEGINS_M) & (along <= _ARM_ENDS_M) & (across <= _ARM_WIDE_M)
+    found = [_half(along[own, number]) for number, own in enumerate(inside.T)]
+    count, reach = np.where(wire, 0.0, np.transpose(found))
+    half = len(_DIRECTIONS_STEM_SHAPES) // 2
+    both = count + np.roll(count, half)
+    best = int(np.argmax(np.where(count >= np.roll(count, half), both, 0.0)))
+    if count[best] < _FEWEST_OF_ARM:
+        return float("nan"), 0.0
+    other = (best + half) % len(_DIRECTIONS_STEM_SHAPES)
+    return float(max(reach[best], reach[other])), 2.0 if count[other] >= 2 else 1.0
+
+
+def _half(along_m: Floats) -> tuple[int, float]:
+    """Number of returns of an arm before its first gap, and how far they go."""
+    own = np.sort(along_m)
+    gaps = np.flatnonzero(np.diff(own, prepend=0.0) > _ARM_GAP_M)
+    own = own[: gaps[0]] if len(gaps) else own
+    return len(own), float(own[-1]) if len(own) else 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.sightings.confirm import UNSEEN
 
 BESIDE_M = 40.0

@@ -10,26 +10,42 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats, Ints
-from roadsight.poles.triangulate.association import Grower, Pole, Work, find_neighbours
-from roadsight.poles.triangulate.exchange import associate
-from roadsight.poles.triangulate.likelihood import likelihood
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.poles.triangulate.association import (
+    BIN_M,
+    SETTLED,
+    Grower,
+    Likelihood,
+    Neighbours,
+    Pole,
+    Work,
+    find_neighbours,
+    in_order,
+    take_best,
+)
 from roadsight.poles.triangulate.noise import Noise, fit_noise, place_groups, stated_noise
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
 _ROUNDS = 7
 """Turns of association and of finding errors and depth scale; most drives rest after four."""
+
 _AS_STATED = 2
 """Turns with the stated errors, in which the depth scale comes to rest: errors that are found at a
 wrong scale are too wide."""
+
 _NARROWING = 2
 """Fits of the errors that may narrow them. With one, errors that are stated 4 times too wide stay
 too wide; with no end, they shrink to half of what they are on 173 ambiguous sightings."""
+
 _FEWEST_DEPTHS = 30
 """Depths that the factor needs, as the median of their ratios."""
+
 _SCALES = (0.5, 2.0)
 """Bounds of the factor: beyond, groups rather than depths are wrong."""
+
 _WELL_CROSSED = 0.1
 """Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
 that bearings alone do not tell the distance."""
@@ -128,3 +144,326 @@ def depth_ratios(rays: Rays, members: Ints) -> Floats:
     distance = ((place - camera) * ahead).sum(axis=1)
     ratio = distance / rays.depth_m[members]
     return ratio[np.isfinite(ratio) & (ratio > 0) & ~rays.anchored[members]]
+
+
+# The set of poles that explains the rays best: greedy first, then improved by exchange.
+
+_ROUNDS_EXCHANGE = 6
+"""Rounds of exchange between poles at most; most streets rest after three."""
+
+_BETTER = 1e-6
+"""Two sets of poles whose evidence differs by less are equal: sums round more than terms."""
+
+
+def associate(grower: Grower) -> list[Pole]:
+    """Poles that share no ray and together explain the rays best, as far as exchange finds it.
+
+    The best hypothesis is taken first and what it leaves is grown anew; then rays are exchanged
+    between poles image by image, poles that are better as one are merged, left-over hypotheses are
+    forced in where that pays, and free rays seed new ones, until nothing changes. No step depends
+    on the order of the caller's rows.
+    """
+    free = np.ones(len(grower.rays), bool)
+    seeds = grower.seeds()
+    poles, others = take_best(grower, seeds, free)
+    for _ in range(_ROUNDS_EXCHANGE):
+        before = [pole.key for pole in poles]
+        poles = _insert(grower, _merge(grower, _exchange(grower, poles)), others)
+        free[:] = True
+        for pole in poles:
+            free[pole.members] = False
+        left = [seed for seed in seeds if free[seed[0]]]
+        poles = in_order(poles + take_best(grower, left, free)[0])
+        if [pole.key for pole in poles] == before:
+            break
+    return poles
+
+
+def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
+    """Each image's rays to the poles that they fit best, one to one; poles fitted anew."""
+    if not poles:
+        return poles
+    rays = grower.rays
+    tree = cKDTree([[pole.x, pole.y] for pole in poles])
+    members: list[list[int]] = [[] for _ in poles]
+    for own in _by_image(rays):
+        around = sorted(tree.query_ball_point(rays.camera_m[own[0]], grower.model.reach_m))
+        if not around:
+            continue
+        worth = np.maximum(grower.speaking([poles[p] for p in around], own), 0.0)
+        for p, k in zip(*linear_sum_assignment(-worth), strict=True):
+            if worth[p, k] > 0:
+                members[around[p]].append(int(own[k]))
+    kept = []
+    for pole, rows in zip(poles, members, strict=True):
+        if len(rows) < 2:
+            continue
+        ordered = np.sort(np.array(rows, np.int64))
+        again = grower.fit(ordered, pole.x, pole.y, int(ordered[0]))
+        if again is not None:
+            kept.append(again)
+    return in_order(kept)
+
+
+def _by_image(rays: Rays) -> list[Ints]:
+    """Ray numbers of each image."""
+    order = np.argsort(rays.image, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(rays.image[order])) + 1)
+
+
+def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
+    """Poles after joining those that explain their rays better as one, nearest first."""
+    current, fresh = dict(enumerate(poles)), len(poles)
+    tried: set[tuple[int, int]] = set()
+    free = np.zeros(len(grower.rays), bool)
+    joined = True
+    while joined and len(current) > 1:
+        joined, used = False, set()
+        for a, b in _near_pairs(current, grower.model.reach_m / 2):
+            if (a, b) in tried or a in used or b in used:
+                continue
+            tried.add((a, b))
+            one = _as_one(grower, current[a], current[b], free)
+            if one is not None and one.gain > current[a].gain + current[b].gain + _BETTER:
+                used |= {a, b}
+                del current[a], current[b]
+                current[fresh] = one
+                fresh, joined = fresh + 1, True
+    return in_order(current.values())
+
+
+def _near_pairs(poles: dict[int, Pole], reach_m: float) -> list[tuple[int, int]]:
+    """Pairs of poles within a distance, nearest first."""
+    numbers = np.array(sorted(poles))
+    places = np.array([(poles[n].x, poles[n].y) for n in numbers.tolist()])
+    pairs = cKDTree(places).query_pairs(reach_m, output_type="ndarray")
+    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
+    first, second = numbers[pairs.min(axis=1)], numbers[pairs.max(axis=1)]
+    order = np.lexsort([second, first, np.round(apart, 9)])
+    return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
+
+
+def _as_one(grower: Grower, first: Pole, second: Pole, free: Bools) -> Pole | None:
+    """One pole of the rays of two, from the places of both and between.
+
+    Parameters
+    ----------
+    free : no ray is; the same when it returns.
+    """
+    free[first.members] = free[second.members] = True
+    best = None
+    middle = (0.5 * (first.x + second.x), 0.5 * (first.y + second.y))
+    for x, y in (middle, (first.x, first.y), (second.x, second.y)):
+        one = grower.grow(x, y, first.seed, free)
+        if one is not None and (best is None or one.gain > best.gain + SETTLED):
+            best = one
+    free[first.members] = free[second.members] = False
+    return best
+
+
+def _insert(grower: Grower, poles: list[Pole], others: list[Pole]) -> list[Pole]:
+    """Poles after forcing others in, one by one, wherever that explains the rays better.
+
+    Poles that lose rays to the one forced in are grown anew from what they keep and what is free.
+    """
+    owner = np.full(len(grower.rays), -1)
+    current, fresh = dict(enumerate(poles)), len(poles)
+    keys = {pole.key for pole in poles}
+    for number, pole in current.items():
+        owner[pole.members] = number
+    free = owner < 0
+    for other in others:
+        if other.key in keys:
+            continue
+        numbers = sorted({int(n) for n in owner[other.members] if n >= 0})
+        rivals = [current[n] for n in numbers]
+        kept = _with_forced(grower, other, rivals, free)
+        if sum(pole.gain for pole in kept) > sum(pole.gain for pole in rivals) + _BETTER:
+            for n in numbers:
+                gone = current.pop(n)
+                owner[gone.members] = -1
+                keys.discard(gone.key)
+            for pole in kept:
+                current[fresh] = pole
+                owner[pole.members] = fresh
+                keys.add(pole.key)
+                fresh += 1
+        for pole in (*rivals, *kept):
+            free[pole.members] = owner[pole.members] < 0
+    return in_order(current.values())
+
+
+def _with_forced(grower: Grower, other: Pole, rivals: list[Pole], free: Bools) -> list[Pole]:
+    """A pole that is forced in, and what its rivals become without its rays, best rival first.
+
+    Parameters
+    ----------
+    free : rays of no pole; when it returns, rays of none of the poles that come back.
+    """
+    for rival in rivals:
+        free[rival.members] = True
+    free[other.members] = False
+    kept = [other]
+    for rival in sorted(rivals, key=lambda pole: (-round(pole.gain, 9), pole.key)):
+        again = grower.grow(rival.x, rival.y, rival.seed, free)
+        if again is not None:
+            kept.append(again)
+            free[again.members] = False
+    return kept
+
+
+# What sightings of poles and strays look like on a drive, as far as the drive itself tells.
+
+_STRAYS_FIRST = 0.2
+"""Share of strays before any pole is known: detectors of street objects show 5 to 30 %."""
+
+_STRAYS_LEAST = 0.05
+"""Share of strays beyond those that no pole took: some have been taken for views."""
+
+_STRAYS_MOST = 0.3
+"""Share of strays at most: rays that no pole took are also views of poles that nobody else saw."""
+
+_SEEN_FIRST = 0.4
+"""Share of near images that show a pole, before any is known: a camera that looks ahead sees a pole
+from half of them, and misses some."""
+
+_SEEN_MOST = 0.7
+"""The same at most, once poles are known: with 0.5 one pole is taken for two more often (13 % too
+many on the worst simulated street instead of 7 %)."""
+
+_SEEN_LEAST = 0.15
+"""The same at least: below, poles that hide most of the time would be made of anything."""
+
+_SEEN_WORTH = 4.0
+"""Images that the share before any pole is known counts for."""
+
+_SEEN_BOUNDS = (0.01, 0.9)
+"""Shares of any one bin: no image proves or excludes a pole by itself."""
+
+_LONE = 0.5
+"""Poles that a ray counts for which no pole took: it is a stray or a pole seen once."""
+
+_RAYS_A_POLE = 4.0
+"""Rays of a pole before any is known: three or four images show one on a drive of 8 m steps."""
+
+_LEAST_SPREAD = 0.3
+"""Least standard deviation of the logarithm of strays' depths: few depths show too little of it."""
+
+_GATE = 1.5
+"""Gate of a member over that of `listing`: evidence judges members itself, the gate saves time."""
+
+_SIGMAS = (1e-3, 1.0)
+"""Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing."""
+
+
+def likelihood(
+    rays: Rays,
+    near: Neighbours,
+    poles: list[Pole],
+    noise: Noise,
+    settings: TriangulationSettings,
+) -> Likelihood:
+    """Densities of views and strays, from poles as they are known so far; none at first.
+
+    Parameters
+    ----------
+    rays : depths are scaled already.
+    """
+    unknown = np.isnan(rays.depth_m)
+    log_depth = np.log(rays.depth_m)
+    free = ~rays.anchored
+    angle = np.where(free, noise.bearing_rad, np.radians(settings.sigma_bearing_deg))
+    angle = np.where(np.isnan(rays.sigma_bearing_deg), angle, np.radians(rays.sigma_bearing_deg))
+    stated = np.hypot(_ratio(rays), np.where(free, noise.hidden_ratio, 0.0))
+    ratio = np.where(np.isnan(rays.sigma_depth_m), noise.depth_ratio, stated)
+    middle, spread = _depths(log_depth[~unknown], settings.max_distance_m)
+    used = sum(len(pole.members) for pole in poles)
+    count = len(poles) + _LONE * (len(rays) - used) if poles else len(rays) / _RAYS_A_POLE
+    density = max(count, 1.0) / _ground_m2(rays, float(np.exp(middle + spread)))
+    seen = shares_seen(rays, poles, near, settings.max_distance_m)
+    missed = np.log1p(-seen)
+    return Likelihood(
+        np.ascontiguousarray(rays.camera_m),
+        rays.direction,
+        rays.image,
+        angle,
+        np.clip(ratio, *_SIGMAS),
+        np.where(free, noise.position_m, 0.0),
+        log_depth,
+        _stray_density(rays, used, unknown, (log_depth - middle) / spread, spread),
+        missed,
+        np.log(seen) - missed,
+        float(np.log(density) - settings.pole_evidence),
+        _GATE * settings.gate_chi2,
+        settings.max_distance_m,
+        settings.min_baseline_m,
+    )
+
+
+def _ratio(rays: Rays) -> Floats:
+    """Sigma of the logarithm of a depth; 1 where unknown."""
+    return np.nan_to_num(rays.sigma_depth_m / rays.depth_m, nan=1.0)
+
+
+def _depths(log_depth: Floats, reach_m: float) -> tuple[float, float]:
+    """Middle and spread of the logarithms of known depths; guesses where there are none."""
+    if not len(log_depth):
+        return float(np.log(reach_m / 2)), 0.5
+    return float(np.median(log_depth)), max(float(np.std(log_depth)), _LEAST_SPREAD)
+
+
+def _stray_density(rays: Rays, used: int, unknown: Bools, away: Floats, spread: float) -> Floats:
+    """Log density of each ray as a stray: any bearing, a depth like that of all rays."""
+    n = len(rays)
+    strays = min(max(n - used, 0) + _STRAYS_LEAST * n, _STRAYS_MOST * n)
+    if used == 0:
+        strays = _STRAYS_FIRST * n
+    rate = strays / len(np.unique(rays.image))
+    depth = -0.5 * away**2 - np.log(spread * np.sqrt(2 * np.pi))
+    return np.log(rate / (2 * np.pi)) + np.where(unknown, 0.0, depth)
+
+
+def _ground_m2(rays: Rays, radius_m: float) -> float:
+    """Ground that the images see: a disc each, parted among the images inside it."""
+    _, first = np.unique(rays.image, return_index=True)
+    tree = cKDTree(rays.camera_m[first])
+    inside = tree.query_ball_point(rays.camera_m[first], radius_m, return_length=True)
+    return float((np.pi * radius_m**2 / inside).sum())
+
+
+def shares_seen(rays: Rays, poles: list[Pole], near: Neighbours, reach_m: float) -> Floats:
+    """Share of images that show a pole, by bins of its distance.
+
+    It falls with distance as the number of sightings does, from a level that poles tell: a pole was
+    found because two images show it, so that two count neither way.
+    """
+    bins = int(reach_m / BIN_M) + 1
+    shape = _falling(rays.depth_m[np.isfinite(rays.depth_m)], bins)
+    level = _SEEN_FIRST
+    if poles:
+        shown, images = 0.0, 0.0
+        for pole in poles:
+            around = near.of(pole.seed)
+            _, once = np.unique(rays.image[around], return_index=True)
+            away = np.hypot(*(rays.camera_m[around[once]] - [pole.x, pole.y]).T)
+            expected = shape[_bin(away[away <= reach_m], bins)].sum()
+            shown += len(pole.members) - 2
+            images += expected * (1.0 - 2.0 / len(pole.members))
+        level = (shown + _SEEN_WORTH * _SEEN_FIRST) / (images + _SEEN_WORTH)
+        level = float(np.clip(level, _SEEN_LEAST, _SEEN_MOST))
+    return np.clip(level * shape, *_SEEN_BOUNDS)
+
+
+def _falling(depth_m: Floats, bins: int) -> Floats:
+    """Number of depths by distance, smoothed, as a share of the most, never rising (bins,)."""
+    counts = np.bincount(_bin(depth_m, bins), minlength=bins).astype(np.float64)
+    smooth = np.convolve(np.pad(counts, 1, mode="edge"), [0.25, 0.5, 0.25], "valid")
+    if smooth.max() <= 0:
+        return np.ones(bins)
+    shape = smooth / smooth.max()
+    shape[: int(shape.argmax())] = 1.0
+    return np.minimum.accumulate(shape)
+
+
+def _bin(away_m: Floats, bins: int) -> np.ndarray:
+    return np.minimum((away_m / BIN_M).astype(np.int64), bins - 1)

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import block_array, csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.listed import choose_listed
+from roadsight.poles.triangulate.explain import depth_scale, explain_rays
+from roadsight.poles.triangulate.merging import (
+    build_groups,
+    gains,
+    locate_points,
+    merge_groups,
+    places_of,
+    weighted_mean,
+)
 from roadsight.poles.triangulate.pole_doubts import UNDER_CROWN
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
@@ -28,10 +38,13 @@ POLE_COLUMNS = [
 
 _CROWN_M = 1.5
 """Around a place, what the cloud shows this near to it tells whether a crown is over it."""
+
 _OWN_M = 0.4
 """What is this near to a place is the pole's own."""
+
 _CROWN_FROM_M = 2.0
 """What is this high above the ground belongs to a crown, a roof or a wire, not to grass or cars."""
+
 _CROWN_SHARE = 0.5
 """Share of the occupied voxels around a place that are so high, from which a crown is over it. On
 two generated roads with 8 and 24 pulses/m2, wires and own returns make it up to 0.33 at poles; at
@@ -217,3 +230,127 @@ def drop_near_structures(
     return poles.assign(
         kept=poles["kept"] & ~near, reason=np.where(near, reasons, poles["reason"]).astype(object)
     )
+
+
+# Poles as the best set of groups of rays: every group is listed, the choice is exact.
+#
+# The number of groups grows with the views of a pole and with how densely poles stand, so that
+# 400 sightings take seconds; `explain` has replaced it. It is kept to compare with, as
+# ``listing``.
+
+_ROUNDS = 10
+"""Rounds of grouping and scaling at most, should the factor go to and fro."""
+
+_SETTLED = 0.01
+"""The factor is found when it changes by less than this share."""
+
+
+def choose_listed(
+    rays: Rays, settings: TriangulationSettings
+) -> tuple[list[Ints], Floats, Floats, float]:
+    """Groups from west to east, their places (g, 2), covariances (g, 2, 2), and depth scale."""
+    scale = _calibrated(rays, settings) if settings.calibrate_depth else 1.0
+    scaled = rays.scaled(scale)
+    groups = group_rays(scaled, settings)
+    return groups, *places_of(locate_points(scaled, settings), groups), scale
+
+
+def group_rays(rays: Rays, settings: TriangulationSettings) -> list[Ints]:
+    """Ray numbers of each pole, poles from west to east and south to north."""
+    levels = build_groups(rays, settings)
+    members = [row for level in levels for row in level.members]
+    if not members:
+        return []
+    gain = np.concatenate([gains(level, settings) for level in levels])
+    chosen = [members[number] for number in choose_groups(members, gain, len(rays))]
+    points = locate_points(rays, settings)
+    merged = merge_groups(rays, points, chosen, settings)
+    return sorted(merged, key=lambda group: tuple(weighted_mean(points, group)[0]))
+
+
+def _calibrated(rays: Rays, settings: TriangulationSettings) -> float:
+    """Factor of the depths, by turns of grouping and scaling; 1 without enough views."""
+    scale = 1.0
+    for _ in range(_ROUNDS):
+        groups = group_rays(rays.scaled(scale), settings)
+        latest = depth_scale(rays, groups, 1.0)
+        if abs(latest / scale - 1) < _SETTLED:
+            return latest
+        scale = latest
+    return scale
+
+
+# Which groups of rays are poles: the most valuable set in which every ray is used at most once.
+#
+# Maximise sum of gains, subject to every ray in at most one chosen group: weighted set packing,
+# solved by HiGHS, one connected part of the route at a time. A part that needs more branch and
+# bound nodes than allowed keeps the best found: a count, not a time, so that every machine
+# answers alike.
+
+_LARGEST = 20_000
+"""Groups of a connected part up to which it is solved exactly."""
+
+_NODES = 1000
+"""Nodes of branch and bound for a part; more come nearer to the best choice, and take longer."""
+
+
+def choose_groups(members: list[Ints], gain: Floats, rays: int, largest: int = _LARGEST) -> Ints:
+    """Numbers of the chosen groups, ascending.
+
+    Parameters
+    ----------
+    members : ray numbers of each group. gain : of each group; groups without gain are left out.
+    rays : number of rays.
+    largest : connected parts with more groups than this are solved greedily, best gain first, so
+        that time stays bounded whatever the input.
+    """
+    useful = np.flatnonzero(gain > 0)
+    if len(useful) == 0:
+        return useful
+    table = _incidence([members[group] for group in useful], rays)
+    # Rays and groups as one graph: group by group it would be quadratic.
+    _, part = connected_components(block_array([[None, table], [table.T, None]]), directed=False)
+    part = part[rays:]
+    order = np.argsort(part, kind="stable")
+    chosen = []
+    for block in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
+        own = [members[group] for group in useful[block]]
+        known, row = np.unique(np.concatenate(own), return_inverse=True)
+        cuts = np.cumsum([len(rows) for rows in own])[:-1]
+        few = _incidence(np.split(row, cuts), len(known))
+        solve = _exact if len(block) <= largest else _greedy
+        chosen.append(block[solve(few, gain[useful[block]])])
+    return np.sort(useful[np.concatenate(chosen)])
+
+
+def _incidence(members: list[Ints], rays: int) -> csr_array:
+    """Rays by groups."""
+    group = np.repeat(np.arange(len(members)), [len(rows) for rows in members])
+    ones = np.ones(len(group))
+    return csr_array((ones, (np.concatenate(members), group)), shape=(rays, len(members)))
+
+
+def _exact(table: csr_array, gain: Floats) -> Bools:
+    if len(gain) == 1:
+        return np.ones(1, bool)
+    used = table[np.flatnonzero(table.sum(axis=1) > 1)]
+    result = milp(
+        -gain,
+        integrality=np.ones(len(gain)),
+        bounds=Bounds(0, 1),
+        constraints=LinearConstraint(used, -np.inf, 1),
+        options={"mip_rel_gap": 0.0, "node_limit": _NODES},
+    )
+    return _greedy(table, gain) if result.x is None else result.x > 0.5
+
+
+def _greedy(table: csr_array, gain: Floats) -> Bools:
+    columns = table.tocsc()
+    free = np.ones(table.shape[0], bool)
+    chosen = np.zeros(len(gain), bool)
+    for group in np.argsort(-gain, kind="stable"):
+        rows = columns.indices[columns.indptr[group] : columns.indptr[group + 1]]
+        if free[rows].all():
+            free[rows] = False
+            chosen[group] = True
+    return chosen

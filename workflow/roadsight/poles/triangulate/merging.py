@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats, Ints
-from roadsight.poles.triangulate.groups import Points
-from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, pair_rays
 
 SAME_CHI2 = 5.99
 """Two poles nearer than this (95 %, 2 degrees of freedom) may be one."""
+
 SEQUENCE_CHI2 = 13.8
 """As above (99.9 %), where depths and bearings follow the order of the images."""
+
 _STILL_DEG = 0.2
 """A bearing that turns back by less than this has not turned."""
 
@@ -133,3 +137,161 @@ def _misfit(points: Points, members: Ints) -> float:
     place, _ = weighted_mean(points, members)
     rest = points.place_m[members] - place
     return float(0.5 * np.einsum("ki,kij,kj->", rest, points.information[members], rest))
+
+
+# Groups of rays that may show one pole, with the place that suits each group best.
+#
+# A ray says where its pole is by an uncertain point: its depth along the bearing, with a
+# covariance that is long along the ray and narrow across it. The best place of a group is the
+# weighted mean of these points, so nearly parallel rays count for little along their common
+# direction.
+
+_GROWTH = 0.8
+"""A group is kept for growing while its misfit is below this share of its members' gates: near all
+of them nothing is gained."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Where each ray alone puts its pole: places (n, 2) and inverse covariances (n, 2, 2)."""
+
+    place_m: Floats
+    information: Floats
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Groups of one size.
+
+    Parameters
+    ----------
+    members : ray numbers, ascending, shape (g, k).
+    place_m : best place of each, shape (g, 2).
+    information : its inverse covariance, shape (g, 2, 2).
+    cost : half the chi squared of all members, shape (g,).
+    """
+
+    members: Ints
+    place_m: Floats
+    information: Floats
+    cost: Floats
+
+    def take(self, chosen: NDArray) -> Groups:
+        """Groups at ``chosen``."""
+        return Groups(*(value[chosen] for value in vars(self).values()))
+
+
+def locate_points(rays: Rays, settings: TriangulationSettings) -> Points:
+    """Each ray's own place and its inverse covariance.
+
+    An unknown depth is taken as half the maximum distance, uncertain by as much.
+    """
+    unknown = np.isnan(rays.depth_m)
+    half_m = settings.max_distance_m / 2
+    depth = np.where(unknown, half_m, rays.depth_m)
+    sigma_depth = np.where(
+        np.isnan(rays.sigma_depth_m), settings.sigma_depth_ratio * depth, rays.sigma_depth_m
+    )
+    sigma_depth = np.where(unknown, half_m, sigma_depth)
+    turn = np.where(
+        np.isnan(rays.sigma_bearing_deg), settings.sigma_bearing_deg, rays.sigma_bearing_deg
+    )
+    across = np.hypot(settings.sigma_position_m, depth * np.radians(turn))
+    along = np.hypot(settings.sigma_position_m, sigma_depth)
+    ahead = rays.direction
+    side = np.column_stack([ahead[:, 1], -ahead[:, 0]])
+    information = (
+        _outer(ahead) / along[:, None, None] ** 2 + _outer(side) / across[:, None, None] ** 2
+    )
+    return Points(rays.camera_m + depth[:, None] * ahead, information)
+
+
+def fit_groups(
+    rays: Rays, points: Points, members: Ints, settings: TriangulationSettings
+) -> tuple[Groups, Bools]:
+    """Best place of each group, and whether every member can see it there.
+
+    A member sees it if it lies ahead of the camera, within the maximum distance and the gate.
+    """
+    information = points.information[members]
+    origin = points.place_m[members[:, 0]]
+    offset = points.place_m[members] - origin[:, None]
+    total = information.sum(axis=1)
+    moment = np.einsum("gkij,gkj->gi", information, offset)
+    mean = np.linalg.solve(total, moment[:, :, None])[:, :, 0]
+    rest = offset - mean[:, None]
+    half_chi2 = 0.5 * np.einsum("gki,gkij,gkj->gk", rest, information, rest)
+    sight = (origin + mean)[:, None] - rays.camera_m[members]
+    ahead = np.einsum("gki,gki->gk", sight, rays.direction[members]) > 0
+    near = np.hypot(sight[..., 0], sight[..., 1]) <= settings.max_distance_m
+    # A member may be beyond its gate by half: the place still moves as rays join.
+    fits = (ahead & near & (half_chi2 <= 0.75 * settings.gate_chi2)).all(axis=1)
+    return Groups(members, origin + mean, total, half_chi2.sum(axis=1)), fits
+
+
+def build_groups(rays: Rays, settings: TriangulationSettings) -> list[Groups]:
+    """Groups of two and more rays, by size; of larger ones the best for each ray.
+
+    A group grows by a ray that pairs with all its members. Each ray keeps at most
+    ``settings.beam`` groups of each size, so that work grows with the number of rays.
+    """
+    points = locate_points(rays, settings)
+    pairs = pair_rays(rays, settings)
+    level, fits = fit_groups(rays, points, pairs, settings)
+    level = level.take(fits & (level.cost <= settings.gate_chi2))
+    links = _Links(level.members, len(rays))
+    levels = []
+    while len(level.members):
+        level = _best_for_each_ray(level, len(rays), settings)
+        levels.append(level)
+        members = links.extend(level.members)
+        level, fits = fit_groups(rays, points, members, settings)
+        most = _GROWTH * members.shape[1] * settings.gate_chi2 / 2
+        level = level.take(fits & (level.cost <= most))
+    return levels
+
+
+def gains(groups: Groups, settings: TriangulationSettings) -> Floats:
+    """What believing in each group gains: its members' gates less its misfit and a pole's cost."""
+    size = groups.members.shape[1]
+    return size * settings.gate_chi2 / 2 - groups.cost - settings.pole_cost
+
+
+class _Links:
+    """Which rays pair with which."""
+
+    def __init__(self, pairs: Ints, rays: int) -> None:
+        self._rays = rays
+        self._keys = np.sort(pairs[:, 0] * rays + pairs[:, 1])
+        self._second = self._keys % max(rays, 1)
+        self._start = np.searchsorted(self._keys, np.arange(rays + 1) * rays)
+
+    def extend(self, members: Ints) -> Ints:
+        """Each group with each later ray that pairs with all of it."""
+        last = members[:, -1]
+        counts = self._start[last + 1] - self._start[last]
+        group = np.repeat(np.arange(len(members)), counts)
+        within = np.arange(len(group)) - np.repeat(np.cumsum(counts) - counts, counts)
+        later = self._second[self._start[last[group]] + within]
+        keep = np.ones(len(group), bool)
+        for column in members[:, :-1].T:
+            keys = column[group] * self._rays + later
+            found = np.searchsorted(self._keys, keys)
+            keep &= self._keys[np.minimum(found, len(self._keys) - 1)] == keys
+        return np.column_stack([members[group[keep]], later[keep]])
+
+
+def _best_for_each_ray(groups: Groups, rays: int, settings: TriangulationSettings) -> Groups:
+    """Groups that are among the best of at least one of their rays."""
+    size = groups.members.shape[1]
+    ray = groups.members.ravel()
+    group = np.repeat(np.arange(len(groups.members)), size)
+    order = np.lexsort([group, groups.cost[group], ray])
+    first = np.searchsorted(ray[order], np.arange(rays))
+    rank = np.arange(len(order)) - first[ray[order]]
+    kept = np.unique(group[order[rank < settings.beam]])
+    return groups.take(kept)
+
+
+def _outer(vectors: Floats) -> Floats:
+    return vectors[:, :, None] * vectors[:, None, :]

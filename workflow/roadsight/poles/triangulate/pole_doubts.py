@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.doubts import Doubt, Severity
-from roadsight.poles.sightings.network_scale import NetworkScale
+from roadsight.poles.sightings.metric_depth import NetworkScale
 from roadsight.poles.triangulate.rays import TriangulationSettings
 
 LEAST_ANCHORED = 0.1

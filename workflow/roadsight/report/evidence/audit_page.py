@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from roadsight.report.templates import template_environment
+from roadsight.report.files import template_environment
 from roadsight.report.wording import label, number, percent, seconds
 
 TEMPLATE = "audit.html.j2"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from roadsight.report.templates import template_environment
+from roadsight.report.files import template_environment
 from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "bench.css")

@@ -8,8 +8,8 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from roadsight.evidence.hardcases.case import CaseResult
-from roadsight.report.templates import template_environment
+from roadsight_hardcases.case import CaseResult
+from roadsight.report.files import template_environment
 from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "hardcases.css")

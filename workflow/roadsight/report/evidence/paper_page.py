@@ -10,7 +10,7 @@ import numpy as np
 
 from roadsight.evidence import paper, published
 from roadsight.report.charts import Chart, span_of
-from roadsight.report.templates import template_environment
+from roadsight.report.files import template_environment
 from roadsight.report.wording import number
 
 TEMPLATE = "paper.html.j2"

@@ -10,7 +10,7 @@ from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import WHOLE_JOB, PublishedStage, Study
 from roadsight.evidence.tradeoffs import Cost, next_step
 from roadsight.report.charts import Chart, span_of
-from roadsight.report.templates import template_environment
+from roadsight.report.files import template_environment
 from roadsight.report.wording import number, percent
 
 TEMPLATE = "tradeoffs.html.j2"

@@ -11,7 +11,7 @@ import pandas as pd
 
 from roadsight.evidence.truth.catalogue import AREAS, Area
 from roadsight.evidence.truth.table import MEAN, holds
-from roadsight.report.templates import template_environment
+from roadsight.report.files import template_environment
 from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "truth.css")

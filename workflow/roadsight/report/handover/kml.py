@@ -12,7 +12,7 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import longitudes_latitudes
+from roadsight.geometry.north import longitudes_latitudes
 from roadsight.report.handover.layers import Layer
 from roadsight.report.handover.styles import Style
 

@@ -13,7 +13,7 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import bearing_deg, longitudes_latitudes
+from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.io.raster.rasters import Raster
 from roadsight.report.handover.styles import Category, Style
 

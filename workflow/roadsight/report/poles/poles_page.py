@@ -2,44 +2,91 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bytes, Ints
+from roadsight.base.arrays import Bytes, Floats, Ints
+from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRaster
 from roadsight.poles.images.views import View
+from roadsight.poles.sightings.metric_depth import HeightAt, balancing_weights, fit_metric_depth
+from roadsight.poles.sightings.sighting_bearing import ViewCamera, road_points, sample_depth
+from roadsight.report.packing import pack
 from roadsight.report.poles.hazard_charts import hazard_profiles
-from roadsight.report.poles.poles_cautions import pole_cautions
-from roadsight.report.poles.poles_depth import depth_checks
-from roadsight.report.poles.poles_images import choose_images, overlay, picture
 from roadsight.report.poles.poles_layers import (
     ACCEPTED,
     REJECTED,
+    UNUSED,
     camera_layer,
     cameras_of,
+    class_layer,
     edge_points,
     finite,
     pole_records,
     sighting_layer,
 )
-from roadsight.report.poles.poles_raster import class_layer
-from roadsight.report.site.cautions import told_cautions
+from roadsight.report.site.cautions import Caution, told_cautions
+from roadsight.report.wording import counted, number, percent
 
 MOST_PICTURES = 60
 """Pictures of poles in the page, which holds them itself: some 5 kB each."""
+
 FORMAT = "roadsight.poles-page/1"
 """Of the page's content; the report refuses others."""
 
 ReadImage = Callable[[str], Bytes]
+
 Picture = tuple[str, View, Bytes]
 """Id of a pole, the view that shows it best, and what is cut out of it."""
+
 ReadEdges = Callable[[str], pd.DataFrame]
+
+
+# How an image's relative depth becomes metres, and what it is worth (paper 2, Figure 9).
+
+
+def depth_fit(
+    image: str,
+    camera: ViewCamera,
+    mask: Bytes,
+    depth: NDArray[np.uint16],
+    height_at: HeightAt,
+) -> dict[str, Any] | None:
+    """Relative depth of the road against its LiDAR distance, with the fitted curve.
+
+    Parameters
+    ----------
+    mask : project classes. depth : relative inverse depth, 0 = unknown. height_at : the terrain.
+
+    Returns
+    -------
+    samples (distance along the optical axis and relative depth) and coefficients; None if the
+    image allows no fit
+    """
+    uv, z = road_points(camera, mask, height_at)
+    relative = sample_depth(depth, uv, mask.shape)
+    known = np.isfinite(relative)
+    z, relative = z[known], relative[known]
+    fit = fit_metric_depth(relative, z, balancing_weights(z))
+    if fit.reason:
+        return None
+    order = np.argsort(z, kind="stable")
+    kept = order[np.unique(np.linspace(0, len(z) - 1, _MOST_SAMPLES).astype(int))]
+    return {
+        "image": image,
+        "distance_m": z[kept].round(3).tolist(),
+        "relative": relative[kept].round(5).tolist(),
+        **{key: float(getattr(fit, key)) for key in ("c1", "c2", "sigma_d", "near_m", "far_m")},
+        "points": int(fit.points),
+    }
 
 
 @dataclass(frozen=True)
@@ -219,3 +266,265 @@ def plain(content: Any) -> Any:
     if isinstance(content, list | tuple):
         return [plain(value) for value in content]
     return finite(content)
+
+
+# What limits the worth of located poles.
+
+_FEW_IMAGES = 20
+"""Fewer images are warned of: most poles are then seen from few sides."""
+
+_FEW_SIGHTINGS = 20
+"""Fewer sightings are warned of."""
+
+_FEW_CHECKED = 10
+"""Fewer known poles are warned of: a mean over them says little."""
+
+_LEAST_ALIGNED = 0.7
+"""A smaller share of aligned images is warned of."""
+
+_WIDE_SIGMA_M = 5.0
+"""Poles with a longer major half axis (one sigma) count as uncertain."""
+
+_WIDE_SHARE = 0.2
+"""A larger share of uncertain poles is warned of."""
+
+
+def pole_cautions(
+    cameras: pd.DataFrame,
+    sightings: pd.DataFrame,
+    poles: list[dict[str, Any]],
+    validation: dict[str, Any] | None,
+) -> list[Caution]:
+    """Warnings first, then notes.
+
+    Parameters
+    ----------
+    cameras : of `cameras_of`. sightings : with kept. poles : of `pole_records`.
+    validation : content of validation.json.
+    """
+    warnings = _image_warnings(cameras) + _result_warnings(sightings, poles)
+    notes = []
+    if validation is None:
+        notes.append("No known poles for this site: errors and scores are not known here.")
+    else:
+        checked = len(validation.get("errors", []))
+        own = [_sentence(str(text)) for text in validation.get("warnings", [])]
+        if checked < _FEW_CHECKED and not any(text.startswith("Only") for text in own):
+            warnings.append(
+                f"Only {counted(checked, 'pole')} could be checked against known ones: mean errors"
+                " and scores rest on little data."
+            )
+        warnings += own
+    unused = int((cameras["state"] == UNUSED).sum())
+    if unused:
+        notes.append(f"{counted(unused, 'image')} not used; the map says why.")
+    notes.append(
+        "Error ellipses come from the sightings' own uncertainties: an error that a whole route"
+        " shares does not show in them."
+    )
+    return [Caution("warning", text) for text in warnings] + [Caution("note", t) for t in notes]
+
+
+def _image_warnings(cameras: pd.DataFrame) -> list[str]:
+    used = int((cameras["state"] != UNUSED).sum())
+    aligned = int((cameras["state"] == ACCEPTED).sum())
+    found = []
+    if used < _FEW_IMAGES:
+        found.append(f"Only {counted(used, 'image')}: most poles are seen from few sides.")
+    if aligned < _LEAST_ALIGNED * used:
+        found.append(
+            f"Only {number(aligned)} of {counted(used, 'image')} ({percent(aligned / used)}) could"
+            " be aligned with the LiDAR road edge: poles beside the others are missing or rest on"
+            " fewer images."
+        )
+    return found
+
+
+def _result_warnings(sightings: pd.DataFrame, poles: list[dict[str, Any]]) -> list[str]:
+    kept = int(sightings["kept"].sum())
+    found = []
+    if kept < _FEW_SIGHTINGS:
+        found.append(f"Only {counted(kept, 'sighting')} of poles: little to triangulate from.")
+    if not poles:
+        return [*found, "No pole was located."]
+    wide = sum((pole["sigma_major_m"] or 0.0) > _WIDE_SIGMA_M for pole in poles)
+    if wide > _WIDE_SHARE * len(poles):
+        found.append(
+            f"{number(wide)} of {counted(len(poles), 'pole')} may be off by more than"
+            f" {number(_WIDE_SIGMA_M)} m (one sigma along the longer axis)."
+        )
+    return found
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+# A few images of the route with what was projected onto them and what was found in them.
+
+MOST_IMAGES = 24
+"""Images in the page, which holds them itself: each adds its bytes."""
+
+WIDTH_PX = 640
+"""Width to which larger images are reduced."""
+
+_JPEG_QUALITY = 74
+"""Of reduced images: small, and edges still stand out."""
+
+_MOST_POINTS = 1200
+"""Points of each kind that are drawn on an image."""
+
+_NEAR_M = 3.0
+"""Points nearer to the camera are not drawn: they are under the vehicle or far out of the image."""
+
+_FAR_M = 80.0
+"""Points further from the camera are not drawn: they would crowd at the horizon."""
+
+_STEPS_PER_PX = 8
+"""Places of drawn points are stored in eighths of a pixel."""
+
+
+def choose_images(cameras: pd.DataFrame, most: int = MOST_IMAGES) -> list[int]:
+    """Rows of the images to show, in order of the route.
+
+    A third are rejected ones, a third those with the largest residuals, each spread evenly where
+    there are too many; the rest, and what these leave free, are accepted ones at even distances.
+
+    Parameters
+    ----------
+    cameras : of `cameras_of`. most : how many.
+    """
+    share = most // 3
+    state = cameras["state"].to_numpy()
+    rejected = _spread(np.flatnonzero(state == REJECTED), share)
+    accepted = np.flatnonzero(state == ACCEPTED)
+    residual = np.nan_to_num(cameras["residual_px"].to_numpy()[accepted], nan=-1.0)
+    worst = accepted[np.argsort(-residual, kind="stable")][: min(share, len(accepted) // 4)]
+    rest = accepted[~np.isin(accepted, worst)]
+    even = _spread(rest, most - len(rejected) - len(worst))
+    chosen = np.concatenate([rejected, worst, even])
+    if len(chosen) < most:
+        left = np.flatnonzero((state == REJECTED) & ~np.isin(np.arange(len(state)), chosen))
+        chosen = np.concatenate([chosen, _spread(left, most - len(chosen))])
+    return np.sort(chosen).astype(int).tolist()
+
+
+def _spread(rows: Ints, most: int) -> Ints:
+    """At most so many of the rows, evenly, first and last among them."""
+    if len(rows) <= most:
+        return rows
+    return rows[np.unique(np.rint(np.linspace(0, len(rows) - 1, most)).astype(int))]
+
+
+def picture(image: Bytes) -> dict[str, Any]:
+    """JPEG in base64, at most 640 px wide.
+
+    Parameters
+    ----------
+    image : (rows, columns, 3) blue, green, red.
+    """
+    rows, columns = image.shape[:2]
+    scale = min(1.0, WIDTH_PX / columns)
+    size = max(1, round(columns * scale)), max(1, round(rows * scale))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return {"jpeg": base64.b64encode(jpeg.tobytes()).decode("ascii")}
+
+
+def overlay(
+    pose: pd.Series | None,
+    size_px: tuple[int, int],
+    lidar_edges_m: NDArray,
+    edges: pd.DataFrame,
+    sightings: pd.DataFrame,
+    poles_of_sightings: list[int],
+) -> dict[str, Any]:
+    """What is drawn over one image, in pixels of a copy 640 px wide.
+
+    Parameters
+    ----------
+    pose : row of the camera, None if it has none. size_px : width and height of the image.
+    lidar_edges_m : road edge (n, 3). edges : u, v of its segmented edges.
+    sightings : in its front view. poles_of_sightings : row of the pole of each, -1 if none.
+    """
+    scale = min(1.0, WIDTH_PX / size_px[0])
+    projected = np.empty((0, 2)) if pose is None else _projected(pose, lidar_edges_m)
+    return {
+        "width_px": round(size_px[0] * scale),
+        "height_px": round(size_px[1] * scale),
+        "steps_per_px": _STEPS_PER_PX,
+        "lidar": _pixels(projected, scale, size_px),
+        "edges": _pixels(edges[["u", "v"]].to_numpy(np.float64), scale, size_px),
+        "axes": [
+            {
+                "line": [round(float(value * scale), 1) for value in _axis(row)],
+                "kept": bool(row["kept"]),
+                "pole": pole,
+                "reason": str(row["reason"] or ""),
+                "depth_m": finite(row["depth_m"]),
+            }
+            for row, pole in zip(sightings.to_dict("records"), poles_of_sightings, strict=True)
+        ],
+    }
+
+
+def _projected(pose: pd.Series, points_m: NDArray) -> Floats:
+    """Pixels of what lies in front of a camera, no nearer than 3 m and no further than 80 m."""
+    names = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px")
+    values = [float(pose[name]) for name in names]
+    if not np.isfinite(values).all():
+        return np.empty((0, 2))
+    near = np.hypot(points_m[:, 0] - values[0], points_m[:, 1] - values[1]) <= _FAR_M
+    camera = Intrinsics(int(pose["width_px"]), int(pose["height_px"]), *values[6:])
+    uv, depth_m = project(camera, cam_from_world(*values[3:6]), values[:3], points_m[near])
+    uv = uv[depth_m >= _NEAR_M]
+    return uv[camera.contains(uv)]
+
+
+def _pixels(uv_px: Floats, scale: float, size_px: tuple[int, int]) -> dict[str, Any]:
+    """Pixels in eighths of the copy's, thinned by leaving out evenly."""
+    limit = np.array(size_px, np.float64) - 1.0
+    known = np.isfinite(uv_px).all(axis=1)
+    uv = uv_px[known].clip(0.0, limit) * scale
+    order = np.lexsort((uv[:, 0], uv[:, 1]))
+    return pack(np.rint(uv[_spread(order, _MOST_POINTS)] * _STEPS_PER_PX), "u2")
+
+
+def _axis(row: dict[Any, Any]) -> tuple[float, float, float, float]:
+    """From the foot to the opposite end of the object's box."""
+    top_u = row["u_min"] + row["u_max"] - row["u_foot"]
+    return row["u_foot"], row["v_foot"], top_u, row["v_min"]
+
+
+_MOST_SAMPLES = 400
+"""Points of the plot of a fit; more would only cover each other."""
+
+_SOURCES = ("network", "ground", "lidar")
+
+
+def depth_checks(sightings: pd.DataFrame, owner: Ints, poles: pd.DataFrame) -> dict[str, Any]:
+    """Distance to the located pole and what each single source said, for sightings of poles.
+
+    Parameters
+    ----------
+    owner : (n,) row of the pole of each sighting, -1 if none.
+    """
+    rows = np.flatnonzero(owner >= 0)
+    apart = (
+        poles[["x", "y"]].to_numpy(np.float64)[owner[rows]]
+        - sightings[["x", "y"]].to_numpy(np.float64)[rows]
+    )
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    checks = {}
+    for source in _SOURCES:
+        column = f"depth_{source}_m"
+        if column not in sightings:
+            continue
+        said = sightings[column].to_numpy(np.float64)[rows]
+        known = np.isfinite(said)
+        if known.any():
+            checks[source] = {
+                "pole_m": distance[known].round(2).tolist(),
+                "said_m": said[known].round(2).tolist(),
+            }
+    return checks

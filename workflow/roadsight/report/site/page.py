@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import NDArray
+from scipy import sparse
 
+from roadsight.base.arrays import Ints
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import bearing_deg, longitudes_latitudes
+from roadsight.geometry.north import bearing_deg, longitudes_latitudes
+from roadsight.placement.sight.detection import detection_matrix
 from roadsight.report.packing import pack, pack_points
 from roadsight.report.site.backdrops import Backdrop
 from roadsight.report.site.cautions import (
@@ -23,7 +27,6 @@ from roadsight.report.site.cautions import (
     scene_cautions,
     told_cautions,
 )
-from roadsight.report.site.gaps import gaps_of, objects_in_the_way, obstacles_of
 from roadsight.report.site.layers import (
     CloudSample,
     candidate_layer,
@@ -33,17 +36,19 @@ from roadsight.report.site.layers import (
     relief_layer,
     target_layer,
 )
-from roadsight.report.site.options_view import goal_proven
-from roadsight.report.site.sights import Sights, sights_of
-from roadsight.report.site.tolerance_view import lost_classes
+from roadsight.report.site.options_view import goal_proven, lost_classes
 
 FORMAT = "roadsight.page/2"
 """Of the page's content; the report refuses others."""
+
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
 """Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
+
 _MOST_OBSTACLES = 300
 """Obstacles in the page: those that block most."""
+
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
+
 _POSE = ("position", "pitch_deg", "roll_deg")
 
 
@@ -293,3 +298,172 @@ def _cautions(
         {} if placement is None else placement.sensors,
     )
     return sorted(found, key=lambda caution: caution.level != "warning")
+
+
+# Targets that a plan leaves out, why, and what stands in the way (paper 1, Appendix B).
+
+OUT_OF_SIGHT = "no candidate sees it"
+
+NOT_CHOSEN = "candidates see it, the chosen sensors do not"
+
+TOO_FEW = "fewer sensors see it than asked for"
+
+_TEXTS = ("kind", "target", "candidate")
+
+_NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
+
+_DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
+
+
+def gaps_of(
+    targets: pd.DataFrame,
+    times_seen: NDArray,
+    needed: NDArray | int,
+    uncovered: Collection[str],
+    explained: pd.DataFrame,
+) -> list[dict[str, Any]]:
+    """Targets seen by fewer sensors than asked for, in the order of ``targets``.
+
+    Parameters
+    ----------
+    targets : columns target, x, y, z, local metres.
+    times_seen : (n,) how many chosen sensors see each target.
+    needed : how many must, one number or (n,).
+    uncovered : names of the targets that no candidate sees.
+    explained : columns target, reason, nearest_m (distance of the nearest candidate), blocked_share
+        (of its sight lines), obstacle_x and obstacle_y (local metres) of uncovered targets.
+    """
+    details = explained.set_index("target")[["reason", *_DETAILS]].to_dict("index")
+    must = np.broadcast_to(needed, len(targets))
+    named = zip(targets["target"], targets["x"], targets["y"], times_seen, must, strict=True)
+    return [
+        {
+            "target": str(name),
+            "x": float(x),
+            "y": float(y),
+            "seen": int(seen),
+            "reason": _reason(name in uncovered, bool(seen), details.get(name)),
+            **{key: _known(details.get(name, {}).get(key)) for key in _DETAILS},
+        }
+        for name, x, y, seen, need in named
+        if seen < need
+    ]
+
+
+def _reason(uncovered: bool, seen: bool, details: dict[Any, Any] | None) -> str:
+    if uncovered:
+        return OUT_OF_SIGHT if details is None else f"{OUT_OF_SIGHT}: {details['reason']}"
+    return TOO_FEW if seen else NOT_CHOSEN
+
+
+def _known(value: Any) -> float | None:
+    return None if pd.isna(value) else float(value)
+
+
+def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """Obstacles as records, in the layer's order.
+
+    Parameters
+    ----------
+    features : points in local metres with columns kind, height_m, targets, sensors, sight_lines
+        (how many of each it cuts off), target and candidate (one of each, by name).
+    """
+    xy = shapely.get_coordinates(features.geometry.to_numpy())
+    columns = features[[*_TEXTS, *_NUMBERS]].to_dict("records")
+    return [
+        {
+            "x": float(x),
+            "y": float(y),
+            **{key: str(record[key]) for key in _TEXTS},
+            **{key: _known(record[key]) for key in _NUMBERS},
+        }
+        for (x, y), record in zip(xy, columns, strict=True)
+    ]
+
+
+def objects_in_the_way(
+    objects: Sequence[dict[str, Any]], removals: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Objects with what a plan would save without them; ``without`` is None where nobody tried.
+
+    Parameters
+    ----------
+    objects : name, kind, targets and sensors of the greatest. removals : object, sensors,
+        sensors_before and more_targets of those that were tried.
+    """
+    tried = {row["object"]: row for row in removals}
+    listed = {entry["name"] for entry in objects}
+    # What was tried is told even where greater objects fill the list.
+    further = [
+        {"name": row["object"], "kind": row["kind"], "targets": row["hidden_targets"]}
+        for row in removals
+        if row["object"] not in listed
+    ]
+    return [
+        {"sensors": None, **entry, "without": tried.get(entry["name"])}
+        for entry in [*objects, *further]
+    ]
+
+
+# What the chosen sensors of a plan see.
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Which sensor of a plan sees which target.
+
+    Parameters
+    ----------
+    matrix : boolean, rows = sensors, columns = targets.
+    range_m : distance from sensor to target where it is seen, same pattern as ``matrix``.
+    """
+
+    matrix: sparse.csr_matrix
+    range_m: sparse.csr_matrix
+
+    @property
+    def times_seen(self) -> Ints:
+        """How many sensors see each target, (n,)."""
+        return np.asarray(self.matrix.sum(axis=0, dtype=np.int64)).ravel()
+
+    @property
+    def histogram(self) -> Ints:
+        """Number of targets seen by 0, 1, 2 ... sensors; never empty."""
+        return np.bincount(self.times_seen, minlength=1)
+
+    def seen_by(self, sensor: int) -> Ints:
+        """Increasing numbers of the targets that a sensor sees."""
+        row = slice(self.matrix.indptr[sensor], self.matrix.indptr[sensor + 1])
+        return np.sort(self.matrix.indices[row]).astype(np.int64)
+
+    def figures(self, sensor: int) -> dict[str, Any]:
+        """Targets seen, targets that no other sensor sees, mean and greatest range (or None)."""
+        seen = self.seen_by(sensor)
+        distance = self.range_m.data[self.range_m.indptr[sensor] : self.range_m.indptr[sensor + 1]]
+        return {
+            "targets": len(seen),
+            "only": int((self.times_seen[seen] == 1).sum()),
+            "range_mean_m": float(distance.mean()) if len(seen) else None,
+            "range_max_m": float(distance.max()) if len(seen) else None,
+        }
+
+
+def sights_of(
+    sensors: list[dict[str, Any]], detections: pd.DataFrame, targets: pd.DataFrame
+) -> Sights:
+    """What the sensors of a solution see.
+
+    Parameters
+    ----------
+    sensors : entries of solution.json with candidate, sensor, x, y, z in local metres.
+    detections : columns sensor, candidate, target; one row per seen target.
+    targets : columns target, x, y, z, local metres.
+    """
+    pairs = [[entry[key] for entry in sensors] for key in ("sensor", "candidate")]
+    choices = pd.MultiIndex.from_arrays(pairs, names=["sensor", "candidate"])
+    matrix = detection_matrix(detections, choices, pd.Index(targets["target"]))
+    positions = np.array([[entry[axis] for axis in "xyz"] for entry in sensors]).reshape(-1, 3)
+    rows, columns = matrix.nonzero()
+    apart = positions[rows] - targets[["x", "y", "z"]].to_numpy(np.float64)[columns]
+    distance = np.linalg.norm(apart, axis=1)
+    return Sights(matrix, sparse.csr_matrix((distance, (rows, columns)), shape=matrix.shape))

@@ -13,7 +13,6 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.doubts import Doubt
 from roadsight.scene.grids import Grid
-from roadsight.scene.pavement.epochs import ScanHeights, epoch_doubts
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes
 from roadsight.scene.pavement.road_surface import (
     SCALES_CELLS,
@@ -23,45 +22,111 @@ from roadsight.scene.pavement.road_surface import (
 )
 
 _WATER = 9
+
 _ROAD_CLASSES = (11, 17)
+
 _GROUND_CLASSES = (2, 8, 10, 11, 17)
 """Ground, model key points, rails, road, bridge deck: what a pavement's points may be called."""
+
 _UNTOLD = (0, 1, 12)
 """Never classified, unclassified, overlap: classes that say nothing."""
+
 _MOST_WATER = 0.05
 """Share of water among a pavement's points: a shore in the outline, not a sea."""
+
 _SEA = 0.5
 """Mostly water is no pavement at all."""
+
 _MOST_OTHER = 0.3
 """Share of points that the file calls neither ground nor road: parked cars and low plants stay
 under a fifth of real streets."""
+
 _LEAST_OWN = 0.7
 """Share of the file's own road points on the pavement."""
+
 _MAIN_PART = 0.5
 """Share of the area in the largest of several surfaces."""
+
 _REACH_BLOCK_M = 20.0
 """Blocks in which the dense corridor is looked at: wider than its road."""
+
 _DENSE = 0.25
 """A block is dense from this share of the density that a quarter of the points have or beat."""
+
 _LEAST_REACHED = 0.5
 """Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all."""
+
 _LEAST_TRACK = 0.8
 """Share of the track on the pavement: positions are a metre off, junctions are closed late."""
+
 MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
 """Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
 streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
 from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests."""
+
 _MOST_OPEN = 0.5
 """Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs."""
+
 _MOST_UNSURE = 1.0
 """Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
 and more, 1.4 on one with 80."""
+
 LEAST_PER_M2 = 9.0
 """Points that a target half a metre wide needs: 1.5 spacings across it."""
+
 _STRIP_M = 0.5
 """An edge is confirmed by a step within this distance."""
+
 _STEP_M = 0.03
 """Lowest kerb."""
+
+
+# Scans that say different things of one surface: other epochs, or registration that failed.
+
+
+@dataclass
+class ScanHeights:
+    """Heights of scans on the cells that they share, gathered tile by tile.
+
+    Parameters
+    ----------
+    scan, off_m : of each scan in each shared cell: its number, its mean height above the middle of
+        the scans there. cell : number of the cell. spread_m : of the points of one scan in a cell.
+    """
+
+    scan: list[Ints] = field(default_factory=list)
+    off_m: list[Floats] = field(default_factory=list)
+    cell: list[Ints] = field(default_factory=list)
+    spread_m: list[Floats] = field(default_factory=list)
+    cells: int = 0
+
+    def add(self, xyz_m: Floats, scan: Ints) -> None:
+        """Compare scans on a surface.
+
+        Parameters
+        ----------
+        xyz_m : (n, 3) points of whole cells of the surface. scan : (n,) their scans.
+        """
+        if len(xyz_m) == 0:
+            return
+        place = np.floor(xyz_m[:, :2] / _CELL_M).astype(np.int64)
+        keys = np.column_stack([place, scan])
+        order = np.lexsort(keys.T)
+        keys, height_m = keys[order], xyz_m[order, 2]
+        first = np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)])
+        count = np.diff(np.append(first, len(keys)))
+        mean = np.add.reduceat(height_m, first) / count
+        square = np.add.reduceat((height_m - np.repeat(mean, count)) ** 2, first) / count
+        enough = count >= _FEWEST_POINTS
+        _, cell = np.unique(keys[first][enough, :2], axis=0, return_inverse=True)
+        cell, mean = cell.ravel(), mean[enough]
+        shared = np.bincount(cell)[cell] > 1
+        cell, mean, owner = cell[shared], mean[shared], keys[first][enough][shared, 2]
+        self.off_m.append(mean - _middles(cell, mean))
+        self.scan.append(owner)
+        self.cell.append(cell + self.cells)
+        self.spread_m.append(np.sqrt(square[enough][shared]))
+        self.cells += int(cell.max()) + 1 if len(cell) else 0
 
 
 @dataclass
@@ -275,3 +340,78 @@ def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
             text = "much of what the file calls road is not on the pavement"
         found.append(_held("pavement_own_road", text, share, _LEAST_OWN, least=True))
     return found
+
+
+_CELL_M = 0.5
+"""Cells in which scans are compared: several points of each, and little rise of the road within."""
+
+_FEWEST_POINTS = 3
+"""Points of a scan in a cell whose mean height counts."""
+
+_FEWEST_CELLS = 100
+"""Cells, 25 m2, that a scan must share with others before it is compared."""
+
+_LEAST_APART_M = 0.1
+"""Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
+and by over this on up to 2 %. Thinner layers of asphalt are not told from registration."""
+
+_SPREADS = 4.0
+"""Means of three points differ by so many spreads of one point by chance once in 10^6 cells."""
+
+_MOST_CHANGED = 0.05
+"""Share of cells on which scans differ: parked cars that left, and edges of kerbs."""
+
+
+def _middles(cell: Ints, height_m: Floats) -> Floats:
+    """Median height of each one's cell (n,)."""
+    if len(cell) == 0:
+        return height_m
+    order = np.lexsort((height_m, cell))
+    _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
+    ranked = height_m[order]
+    middle = (ranked[first + (count - 1) // 2] + ranked[first + count // 2]) / 2
+    return np.asarray(middle[np.unique(cell, return_inverse=True)[1]], np.float64)
+
+
+def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
+    """Doubts about a pavement whose scans differ by more than their noise; none where they agree.
+
+    A scan that lies off as a whole is said by its offset, and what is left by the share of cells.
+    """
+    if not heights.off_m or sum(map(len, heights.off_m)) == 0:
+        return []
+    scan, off_m = np.concatenate(heights.scan), np.concatenate(heights.off_m)
+    cell, spread_m = np.concatenate(heights.cell), np.concatenate(heights.spread_m)
+    apart_m = max(_LEAST_APART_M, _SPREADS * float(np.median(spread_m)))
+    ids, number, count = np.unique(scan, return_inverse=True, return_counts=True)
+    middle = _by_scan(number, off_m)
+    middle[count < _FEWEST_CELLS] = 0.0
+    found = []
+    if np.ptp(middle) > apart_m:
+        high, low = ids[np.argmax(middle)], ids[np.argmin(middle)]
+        text = (
+            f"scan {high} lies above scan {low} on the pavement (point_source_id), m: other epochs"
+            " or registration; give the cloud of one epoch"
+        )
+        gap_m = round(float(np.ptp(middle)), 3)
+        found.append(Doubt("pavement_scans_apart", "doubt", text, gap_m, round(apart_m, 3)))
+    left = off_m - middle[number]
+    order = np.argsort(cell, kind="stable")
+    _, first = np.unique(cell[order], return_index=True)
+    highest = np.maximum.reduceat(left[order], first)
+    lowest = np.minimum.reduceat(left[order], first)
+    changed = float((highest - lowest > apart_m).mean())
+    if len(first) >= _FEWEST_CELLS and changed > _MOST_CHANGED:
+        text = (
+            f"share of the pavement on which scans differ by over {100 * apart_m:.0f} cm in height:"
+            " other epochs? give the cloud of one"
+        )
+        found.append(Doubt("pavement_epochs", "doubt", text, round(changed, 3), _MOST_CHANGED))
+    return found
+
+
+def _by_scan(number: Ints, off_m: Floats) -> Floats:
+    """Median of each scan's departures."""
+    order = np.lexsort((off_m, number))
+    _, first, count = np.unique(number[order], return_index=True, return_counts=True)
+    return np.asarray(off_m[order][first + count // 2], np.float64)

@@ -25,13 +25,12 @@ from roadsight.scene.pavement.ground_raster import (
     CellMeans,
     LocalPlanes,
     cell_means,
+    grow,
     local_planes,
     smooth,
     window_planes,
 )
-from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
-from roadsight.scene.pavement.surface_growth import grow
-from roadsight.scene.pavement.turn_seams import close_turns
+from roadsight.scene.pavement.scan_levels import close_turns, level_scans, scanner_positions
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid, lowest_per_cell
-from roadsight.scene.terrain.cells import flat_cells, sample_three
-from roadsight.scene.terrain.coarse import CoarseGround, box_sum
+from roadsight.scene.terrain.coarse import CoarseGround, box_sum, flat_cells, sample_three
 from roadsight.scene.terrain.ground_settings import (
     ROUGHNESS_PER_SPACING,
     around_pillars,

@@ -11,10 +11,9 @@ from scipy import ndimage
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
-from roadsight.scene.terrain.coarse import CoarseGround, coarse_ground
+from roadsight.scene.terrain.coarse import CoarseGround, coarse_ground, lowest_supported
 from roadsight.scene.terrain.ground import ground_mask, published_ground
 from roadsight.scene.terrain.ground_settings import reach_m
-from roadsight.scene.terrain.lowest import lowest_supported
 
 Bounds = tuple[float, float, float, float]
 Tiles = Callable[[float], Iterator[tuple[Bounds, Floats]]]

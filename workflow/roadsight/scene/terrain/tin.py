@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
+from roadsight.geometry.cameras import wrap_deg
+from roadsight.geometry.ray_casting import RayScene
 
 _UNITS_PER_M = 10_000
 """Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions."""
@@ -140,3 +142,168 @@ def _ordered(triangles: Ints32, plan: Floats) -> Ints32:
     rows = np.arange(len(triangles))[:, None]
     triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
     return triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
+
+
+# What the terrain hides from a camera, by ray casting (paper 2, section 3.2.4).
+
+_LAST_SHARE = 0.9999
+"""Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
+triangle."""
+
+# How much of the road ahead the terrain hides, estimated from a height model along sight lines.
+#
+# Cheap enough to decide whether the triangulated terrain is worth building: `scene.occlusion`
+# casts exact rays at it.
+
+TOLERANCE_M = 0.15
+"""Sight lines end this much above the points: they would else meet the ground that these lie on."""
+
+
+class TerrainSight:
+    """Terrain that rays can be cast at; the same result every time.
+
+    Parameters
+    ----------
+    terrain : in the local frame. Without any triangle nothing is hidden.
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        self._scene, self._origin_m = None, np.zeros(3)
+        if len(terrain.triangles):
+            # Single precision is safe only near the origin.
+            self._origin_m = np.round(terrain.vertices.mean(axis=0))
+            vertices = terrain.vertices - self._origin_m
+            self._scene = RayScene(vertices, terrain.triangles, robust=True)
+
+    def visible(
+        self, camera_m: ArrayLike, points_m: ArrayLike, tolerance_m: float = TOLERANCE_M
+    ) -> Bools:
+        """Whether the straight way from a camera to points is free of terrain.
+
+        The rays end ``tolerance_m`` above the points and a hair before: at a grazing angle a point
+        a few centimetres below the triangles would else be hidden by the very ground it lies on.
+
+        Parameters
+        ----------
+        camera_m : (3,) local metres. points_m : (n, 3) local metres; NaN is never visible.
+        """
+        points = np.asarray(points_m, np.float64).reshape(-1, 3)
+        finite = np.asarray(np.isfinite(points).all(axis=1))
+        if self._scene is None or not finite.any():
+            return finite
+        start = np.asarray(camera_m, np.float64)
+        way = points[finite] - (start - np.array([0.0, 0.0, tolerance_m]))
+        # An unnormalised ray ends at 1, wherever the point is.
+        seen = finite.copy()
+        seen[finite] = ~self._scene.occluded(start - self._origin_m, way, _LAST_SHARE)
+        return seen
+
+
+def visible(
+    terrain: Terrain | TerrainSight,
+    camera_m: ArrayLike,
+    points_m: ArrayLike,
+    tolerance_m: float = TOLERANCE_M,
+) -> Bools:
+    """Whether points (n, 3) are seen from a camera (3,); see `TerrainSight.visible`.
+
+    Give a `TerrainSight` where many cameras look at one terrain.
+    """
+    sight = terrain if isinstance(terrain, TerrainSight) else TerrainSight(terrain)
+    return sight.visible(camera_m, points_m, tolerance_m)
+
+
+def hidden_share(
+    sight: TerrainSight,
+    cameras_m: ArrayLike,
+    heading_deg: ArrayLike,
+    edges_m: ArrayLike,
+    reach_m: float = 120.0,
+    half_angle_deg: float = 45.0,
+) -> float:
+    """Share of the road edge points ahead of the cameras that the terrain hides.
+
+    Parameters
+    ----------
+    cameras_m : (k, 3) local metres. heading_deg : (k,) clockwise from grid north.
+    edges_m : (n, 3) road edge points. reach_m : farther ones do not count.
+    half_angle_deg : only points within this of the heading count.
+
+    Returns
+    -------
+    share between 0 and 1; 0 where no camera has a road edge ahead.
+    """
+    edges = np.asarray(edges_m, np.float64).reshape(-1, 3)
+    hidden = total = 0
+    for camera, heading in zip(np.asarray(cameras_m), np.asarray(heading_deg), strict=True):
+        east, north = (edges[:, :2] - camera[:2]).T
+        turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
+        gap_m = np.hypot(east, north)
+        ahead = (gap_m <= reach_m) & (gap_m > 0) & (np.abs(turn) <= half_angle_deg)
+        seen = sight.visible(camera, edges[ahead])
+        hidden, total = hidden + int((~seen).sum()), total + len(seen)
+    return hidden / total if total else 0.0
+
+
+Height = Callable[[Floats, Floats], Floats]
+"""Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown."""
+
+_HALF_ANGLE_DEG = 45.0
+"""Road edges this far to either side of the heading are ahead of a camera."""
+
+_STEP_M = 2.0
+"""Steps along the longest sight line; crests that hide a road are longer."""
+
+_POINTS = 120
+"""Edge points looked at from each camera, about: a share needs no more."""
+
+
+def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> Bools:
+    """Whether the ground rises above the straight way from an eye to points.
+
+    Parameters
+    ----------
+    eye_m : (3,) local metres. points_m : (n, 3); the way ends the same little above them as rays
+        at the terrain do. Unknown ground hides nothing.
+    """
+    points = np.asarray(points_m, np.float64).reshape(-1, 3) + np.array([0.0, 0.0, TOLERANCE_M])
+    eye = np.asarray(eye_m, np.float64)
+    way = points - eye
+    longest_m = float(np.hypot(way[:, 0], way[:, 1]).max(initial=0.0))
+    steps = max(int(np.ceil(longest_m / _STEP_M)), 1)
+    share = np.arange(1, steps) / steps
+    places = eye + share[:, None, None] * way
+    ground = height(places[..., 0].ravel(), places[..., 1].ravel()).reshape(places.shape[:2])
+    with np.errstate(invalid="ignore"):
+        return np.asarray((ground > places[..., 2]).any(axis=0))
+
+
+def hidden_road_share(
+    height: Height,
+    eyes_m: ArrayLike,
+    heading_deg: ArrayLike,
+    edges_m: ArrayLike,
+    reach_m: float,
+) -> float:
+    """Share of the road edge points ahead of cameras that the ground hides.
+
+    Parameters
+    ----------
+    eyes_m : (k, 3) local metres. heading_deg : (k,) clockwise from grid north.
+    edges_m : (n, 3) road edge points. reach_m : farther ones do not count.
+
+    Returns
+    -------
+    share between 0 and 1; NaN where no camera has a road edge ahead
+    """
+    edges = np.asarray(edges_m, np.float64).reshape(-1, 3)
+    hidden = total = 0
+    for eye, heading in zip(np.asarray(eyes_m, float), np.asarray(heading_deg), strict=True):
+        east, north = (edges[:, :2] - eye[:2]).T
+        turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
+        away_m = np.hypot(east, north)
+        ahead = np.flatnonzero((away_m <= reach_m) & (away_m > 0) & (abs(turn) <= _HALF_ANGLE_DEG))
+        ahead = ahead[:: max(len(ahead) // _POINTS, 1)]  # evenly, up to twice as many
+        hidden += int(hidden_by_heights(height, eye, edges[ahead]).sum())
+        total += len(ahead)
+    return hidden / total if total else float("nan")

@@ -6,7 +6,7 @@ import time
 from collections.abc import Hashable
 from dataclasses import dataclass
 
-from roadsight.setcover.common.result import OWN
+from roadsight.setcover.common.problem import OWN
 
 _LEAST_PATIENCE_S = 30.0
 """Work without a move that is always borne: with 5 s a plan of six sensors on a real street stayed

@@ -12,8 +12,8 @@ from scipy import sparse
 from roadsight import __version__
 from roadsight.base.arrays import Bools, Floats
 from roadsight.setcover.common.deadline import Deadline, Patience
+from roadsight.setcover.common.problem import HIGHS
 from roadsight.setcover.common.relaxation import quiet_highs
-from roadsight.setcover.common.result import HIGHS
 
 _FEASIBLE = 1e-9
 """Tolerance of the solver: what it lets pass is looked at again with exact sums."""

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
-from roadsight.setcover.common.balas_ng_cuts import balas_ng_cuts
-from roadsight.setcover.common.constraints import Constraint
+from roadsight.setcover.common.cuts import Constraint, balas_ng_cuts, parity_cuts
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import coverage, reduced_costs
-from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.problem import Instance, power_of_two
 
 FIRST_TARGETS = 300

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.problem import is_within
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
-from roadsight.setcover.common.result import is_within
 from roadsight.setcover.cover.enumeration import enumerate_covers
 from roadsight.setcover.cover.local_search import (
     MOST_SPARE,
     LocalSearch,
+    LongSearch,
     search_while_it_pays,
 )
-from roadsight.setcover.cover.long_search import LongSearch
 
 _ROOT_CUTS = 40
 """Most rounds of cuts at the root; on corridors two to thirteen do."""

@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from roadsight.base.arrays import Bools, Ints32
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import drop_dominated_choices, pack_bits, propagate
-from roadsight.setcover.common.problem import Instance
-from roadsight.setcover.common.reductions import MAX_BITS, arrays
+from roadsight.setcover.common.problem import OWN, Instance, is_within
+from roadsight.setcover.common.reductions import MAX_BITS, arrays, shrink, split_components
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
-from roadsight.setcover.common.result import OWN, is_within
-from roadsight.setcover.common.tree import BestFirst, is_settled, tighten
-from roadsight.setcover.cover.branching import divide
+from roadsight.setcover.common.tree import (
+    BestFirst,
+    choices_of_both,
+    divide_by_choice,
+    divide_by_choices,
+    is_settled,
+    tighten,
+)
 from roadsight.setcover.cover.closing import Closing
-from roadsight.setcover.cover.local_search import LocalSearch
-from roadsight.setcover.cover.long_search import LongSearch
+from roadsight.setcover.cover.local_search import LocalSearch, LongSearch
 
 _WHOLE = 1e-6
 """Shares nearer than this to a whole number are whole: ten times the solver's own tolerance."""
+
 _FIRST_RETRY = 32
 """Nodes of a tree before local search is tried again: smaller trees end soon by themselves."""
+
 _STEPS_PER_NODE = 400
 """Steps of local search by node of the tree, each time the tree has doubled. More of them take
 work from the proof, fewer leave the tree to refute covers that local search would have found."""
+
 _ENTRY_S = 4e-9
 """Work of a propagation by entry of the matrix, in seconds, measured."""
 
@@ -205,3 +213,118 @@ class Search(BestFirst):
         if allowed and float(instance.cost[chosen].sum()) < self.cost:
             self.local.best = chosen
         return solution.exceeds(self.goal)
+
+
+# Proof on a core: the few targets that keep covers from being cheaper.
+#
+# A cover of all targets covers those of the core, so that what the core cannot be covered for is
+# refuted for all. Its instance is far smaller, and many of its choices are alike. A cheap cover
+# of the core either covers everything, or leaves targets open that join the core.
+
+_LARGEST_SHARE = 0.5
+"""Share of all targets that is still a core: with more of them the proof is hardly easier, and may
+have to begin again once other targets join."""
+
+_STEPS = 2_000
+"""Steps of local search after a cover of the core that leaves targets open, which join it."""
+
+SolvePart = Callable[[Instance, Deadline, float], Outcome]
+"""Outcome of an instance: its best cover, or any that costs less than a ceiling."""
+
+
+def is_small(local: LocalSearch) -> bool:
+    """Whether the targets that a local search looks at are few enough to be a core."""
+    return float(local.active.mean()) <= _LARGEST_SHARE
+
+
+def prove_on_core(
+    local: LocalSearch, bound: float, solve: SolvePart, deadline: Deadline, gap: float
+) -> Outcome:
+    """Prove the best cover of a local search, or find cheaper ones, on the targets it looks at.
+
+    Parameters
+    ----------
+    bound : known before, in steps. solve : how a core is solved.
+    gap : share of the cost that is close enough to the bound.
+    """
+    instance, nodes = local.instance, 0
+    while True:
+        outcome = _on_core(local, solve, deadline)
+        nodes += outcome.nodes
+        bound = max(bound, outcome.bound)
+        if bound > instance.goal(local.cost):
+            return Outcome(local.best, local.cost, nodes)
+        if outcome.best is None or deadline.passed() or is_within(gap, local.cost, bound):
+            return Outcome(local.best, bound, nodes)
+        if not local.accept(outcome.best):
+            local.run(_STEPS, bound, deadline)
+
+
+def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcome:
+    """Proven bound of the core, and a cover of it (of the whole instance's choices) if cheap."""
+    instance = local.instance
+    everything = np.ones(instance.shape[0], bool)
+    core, taken, feasible = shrink(instance.select(everything, local.active), ~everything)
+    if not feasible:
+        return Outcome(None, np.inf, 0)
+    parts = sorted(split_components(core), key=lambda part: part.by_choice.nnz)
+    chosen = np.isin(instance.choice, taken)
+    bound, nodes = float(instance.cost[chosen].sum()), 0
+    for number, part in enumerate(parts):
+        ceiling = local.cost - bound if len(parts) == 1 else np.inf
+        outcome = solve(part, deadline.part(len(parts) - number), ceiling)
+        bound, nodes = bound + outcome.bound, nodes + outcome.nodes
+        if outcome.best is None:
+            return Outcome(None, bound, nodes)
+        chosen |= np.isin(instance.choice, part.choice[outcome.best])
+    cheap = float(instance.cost[chosen].sum()) < local.cost
+    return Outcome(chosen if cheap else None, bound, nodes)
+
+
+# Division of a node: do two targets share a choice or not.
+
+_PAIRED_TARGETS = 80
+"""So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
+pairs of others promise less; a larger number takes time by its square."""
+
+_FRACTION = 1e-3
+"""Pairs whose common share is nearer to a whole number than this count as decided: what is left may
+be the solver's tolerance, and a division by it changes next to nothing."""
+
+
+def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node, Node]:
+    """Two nodes that share out all covers of ``node``.
+
+    Neighbouring candidates are nearly equal, so forbidding one changes little. Instead two targets
+    are taken whose common choices have a fractional share in total: either none of these choices is
+    taken, or at least one is (the rule of Ryan and Foster for partitioning, here for covering).
+    Where there are no such targets, the node is divided by one choice.
+    """
+    choices = _shared_choices(relaxation.instance, node, solution)
+    if choices is None:
+        free, x = node.alive & ~node.fixed, solution.x
+        nearness = np.where(free, np.minimum(x, 1 - x), -1.0)
+        if nearness.max() <= 0:  # whole already: the free choice of the largest share
+            nearness = np.where(free, x, -1.0)
+        return divide_by_choice(node, int(np.argmax(nearness)))
+    return divide_by_choices(node, choices, relaxation.add_branch(choices))
+
+
+def _shared_choices(instance: Instance, node: Node, solution: Solution) -> Ints32 | None:
+    """Free choices that cover both of the two targets whose division promises most."""
+    tight = np.flatnonzero(solution.target_dual > 1e-9)
+    dual = solution.target_dual[tight]
+    order = np.argsort(-dual, kind="stable")[:_PAIRED_TARGETS]
+    tight, dual = tight[order], dual[order]
+    free = node.alive & ~node.fixed
+    support = np.flatnonzero((solution.x > 1e-9) & free)
+    # Sparse, because the order of sums in a dense product depends on the number of threads.
+    covers = instance.by_choice[support][:, tight].astype(np.float64)
+    share = (covers.T @ sparse.diags_array(solution.x[support]) @ covers).toarray()
+    first, second = np.triu_indices(len(tight), 1)
+    fraction = np.minimum(share, 1 - share)[first, second]
+    if not len(fraction) or fraction.max() < _FRACTION:
+        return None
+    score = np.where(fraction < _FRACTION, -1.0, fraction * np.minimum(dual[first], dual[second]))
+    best = int(np.argmax(score))
+    return choices_of_both(instance.by_target, tight[first[best]], tight[second[best]], free)

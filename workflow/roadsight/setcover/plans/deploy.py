@@ -12,13 +12,13 @@ import numpy as np
 from roadsight.base.arrays import Ints
 from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.problem import CoverProblem
-from roadsight.setcover.common.result import (
+from roadsight.setcover.common.problem import (
     INFEASIBLE,
     OPTIMAL,
     TIME_LIMIT,
     WITHIN_GAP,
     Cover,
+    CoverProblem,
     is_within,
     relative_gap,
 )
@@ -26,8 +26,7 @@ from roadsight.setcover.cover.solve import solve_cover_problem
 from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cut, Cuts
 from roadsight.setcover.plans.deployment import ROUNDED, Deployment
-from roadsight.setcover.plans.master import Master
-from roadsight.setcover.plans.tree import Tree
+from roadsight.setcover.plans.tree import Master, Tree
 from roadsight.setcover.plans.whole import any_allowed
 
 _STEPS = 2_000

@@ -33,9 +33,7 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.program import Program, run_program, version
-from roadsight.setcover.common.reductions import uncoverable_targets
-from roadsight.setcover.common.result import (
+from roadsight.setcover.common.problem import (
     HIGHS,
     INFEASIBLE,
     OPTIMAL,
@@ -44,6 +42,8 @@ from roadsight.setcover.common.result import (
     Cover,
     relative_gap,
 )
+from roadsight.setcover.common.program import Program, run_program, version
+from roadsight.setcover.common.reductions import uncoverable_targets
 from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deployment import Deployment

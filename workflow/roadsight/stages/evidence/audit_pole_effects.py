@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import pandas as pd
 
 from roadsight.effects.catalogue import load_catalogue
-from roadsight.evidence.effects_audit import row_of
-from roadsight.evidence.pole_audit import PoleAnswer, answer_change
+from roadsight.evidence.effects_audit import PoleAnswer, answer_change, row_of
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table

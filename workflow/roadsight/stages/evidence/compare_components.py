@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 import pandas as pd
 
-from roadsight.base.section import Section
+from roadsight.base.section import Section, validated
 from roadsight.base.sections.poles import (
     Alignment,
     AlignmentLimits,
@@ -26,7 +26,6 @@ from roadsight.base.sections.poles import (
     Validation,
 )
 from roadsight.base.shards import Shard
-from roadsight.base.validation import validated
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json

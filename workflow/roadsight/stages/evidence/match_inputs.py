@@ -11,22 +11,20 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from roadsight.base.doubts import Doubt
+from roadsight.base.doubts import Doubt, tell_named
 from roadsight.base.errors import InputError
-from roadsight.base.matches import tell_named
 from roadsight.base.shards import WHOLE
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import posed_images
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import LabelImages
 from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vector_sources import load_local
 from roadsight.poles.images.views import usable, views_of
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import keep
+from roadsight.stages.command import Command, keep
 
 log = logging.getLogger("match_inputs")
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from roadsight.evidence.base_costs import base_costs
+from roadsight.evidence.costs import base_costs
 from roadsight.evidence.tradeoffs import NOT_OF_THE_JOB
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import write_json

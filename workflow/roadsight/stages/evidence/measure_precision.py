@@ -8,19 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
 from roadsight.base.sections.scene import GroundClasses
-from roadsight.evidence.precision import (
-    largest_error_m,
-    normal_error_deg,
-    normals_of,
-    stored,
-)
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.usage import own_usage
+from roadsight.io.records.run_records import own_usage
+from roadsight.scene.pavement.fpfh import nearest_neighbours, upward_normals
 from roadsight.stages.command import Command
 
 LEVELS = {
@@ -31,10 +27,13 @@ LEVELS = {
 """Ways to store coordinates: whether a local origin is subtracted, whether as float32."""
 
 DEFAULT = "float32, local"
+
 _POINTS = 100_000
 """The first points of the cloud; more would only take more time."""
+
 _NEIGHBOURS = GroundClasses().neighbours
 """Of the plane whose normal is measured."""
+
 _REPEATS = 3
 """Timings of each way, of which the shortest counts."""
 
@@ -68,6 +67,38 @@ def _level(
         "wall_s": min(timings)[1],
         "peak_mib": own_usage().peak_mib,
     }
+
+
+# What single precision costs in accuracy at coordinates of the world and near a local origin.
+
+
+def stored(native: Floats, origin: ArrayLike, single: bool) -> Floats:
+    """Native coordinates (n, 3) as they come back from storage, less the local origin.
+
+    Parameters
+    ----------
+    origin : subtracted before storage; zeros store coordinates of the world. single : as float32.
+    """
+    kept = native - np.asarray(origin, np.float64)
+    return kept.astype(np.float32).astype(np.float64) if single else kept
+
+
+def largest_error_m(native: Floats, origin: ArrayLike, single: bool) -> float:
+    """Largest distance between a point and what is stored of it, in the unit of the points."""
+    back = stored(native, origin, single) + np.asarray(origin, np.float64)
+    return float(np.sqrt(((back - native) ** 2).sum(axis=1)).max())
+
+
+def normals_of(xyz_m: Floats, neighbours: int) -> Floats:
+    """Upward normals (n, 3) of points; NaN where a neighbourhood is no plane."""
+    _, index = nearest_neighbours(xyz_m, neighbours)
+    return upward_normals(xyz_m, index)[0]
+
+
+def normal_error_deg(found: Floats, exact: Floats) -> float:
+    """95th percentile of the angle between normals (n, 3); a lost normal is 90 degrees off."""
+    cosine = np.clip(np.abs((exact * found).sum(axis=1)), 0.0, 1.0)
+    return float(np.percentile(np.degrees(np.arccos(np.nan_to_num(cosine))), 95))
 
 
 main = Command(measure_precision)

@@ -14,8 +14,8 @@ import pandas as pd
 from roadsight import __version__
 from roadsight.base.doubts import Doubt, by_severity
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.checksums import sha256
 from roadsight.io.records.run_records import run_record
+from roadsight.io.records.sources import sha256
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.videolog import OK
 from roadsight.stages.command import Command

@@ -14,7 +14,7 @@ import typst
 
 from roadsight.io.records.atomic import atomic_path, read_json
 from roadsight.io.records.run_records import RunRecord
-from roadsight.report.paper.content import paper_content
+from roadsight.report.printed import paper_content
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_pdf")

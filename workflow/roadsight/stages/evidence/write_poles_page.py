@@ -26,13 +26,10 @@ from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.images.kinds import KINDS, PixelClass
 from roadsight.poles.images.pictures import best_views, cut_out, projected_box, unrecognisable
-from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.views import View, view_name, views_of
+from roadsight.poles.images.views import View, source_places, straightened, view_name, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
-from roadsight.report.poles.poles_depth import depth_fit
 from roadsight.report.poles.poles_layers import match_sightings
 from roadsight.report.poles.poles_page import (
     MOST_PICTURES,
@@ -41,6 +38,7 @@ from roadsight.report.poles.poles_page import (
     ReadEdges,
     ReadImage,
     build_poles_page,
+    depth_fit,
 )
 from roadsight.stages.command import Command
 

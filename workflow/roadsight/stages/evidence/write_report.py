@@ -13,9 +13,8 @@ from plotly.offline import get_plotlyjs
 from roadsight import __version__
 from roadsight.io.records.atomic import atomic_path, read_json
 from roadsight.io.records.run_records import RunRecord
-from roadsight.report.document import render_report
+from roadsight.report.document import render_report, result_files
 from roadsight.report.files import ASSETS, read_assets
-from roadsight.report.result_files import result_files
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_report")

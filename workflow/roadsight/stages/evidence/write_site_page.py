@@ -21,14 +21,13 @@ from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_detections
+from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, load_sensors
 from roadsight.report.site.backdrops import Backdrop, backdrops
-from roadsight.report.site.layers import CloudSample
+from roadsight.report.site.layers import CloudSample, near_measured
 from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
-from roadsight.report.site.shading import near_measured
 from roadsight.report.site.thinning import sample_mask, thin
 from roadsight.stages.command import Command
 

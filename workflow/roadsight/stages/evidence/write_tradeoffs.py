@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import pandas as pd
 
 from roadsight import __version__
-from roadsight.evidence.base_costs import with_base_costs
+from roadsight.evidence.costs import with_base_costs
 from roadsight.evidence.studies import Tradeoffs, load_tradeoffs
 from roadsight.evidence.tradeoffs import COLUMNS, Cost, precision_rows, study_rows
 from roadsight.io.records.atomic import atomic_path, read_json

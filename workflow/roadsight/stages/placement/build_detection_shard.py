@@ -15,22 +15,25 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Lidar
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import read_detections, write_detections
 from roadsight.io.records.kept import Kept, key_of, key_of_step
-from roadsight.io.records.lanes import read_traffic
-from roadsight.io.records.poses import read_poses, read_tilts
+from roadsight.io.records.placement_tables import (
+    read_detections,
+    read_poses,
+    read_tilts,
+    read_traffic,
+    write_detections,
+)
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
 from roadsight.placement.sight.kinds import Box
 from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.sight import count_beams
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, logged
 from roadsight.stages.placement.shared.detection_inputs import (
     DetectionFiles,
     read_shaped_targets,
     said_of_shape,
     sight_of,
 )
-from roadsight.stages.progress import logged
 
 log = logging.getLogger("build_detection_shard")
 

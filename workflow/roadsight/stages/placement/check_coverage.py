@@ -14,10 +14,10 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_seen_targets
+from roadsight.io.records.placement_tables import read_seen_targets
 from roadsight.io.records.tables import read_table
 from roadsight.stages.command import Command
-from roadsight.stages.placement.shared.allowed import AllowedFiles, allowed_candidates
+from roadsight.stages.placement.shared.plan_choices import AllowedFiles, allowed_candidates
 
 log = logging.getLogger("check_coverage")
 

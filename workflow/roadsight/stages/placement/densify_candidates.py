@@ -15,9 +15,9 @@ from roadsight.base.arrays import Floats
 from roadsight.base.sections.placement import Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.poses import FOR_SENSORS
+from roadsight.io.records.placement_tables import FOR_SENSORS
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.placement.candidates.positions import near_gaps, positions_along
+from roadsight.placement.candidates.candidates import near_gaps, positions_along
 from roadsight.stages.command import Command
 from roadsight.stages.placement.place_candidates import (
     COLUMNS,

@@ -16,23 +16,26 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import write_detections
-from roadsight.io.records.lanes import SiteTraffic, read_traffic
-from roadsight.io.records.poses import read_poses, read_tilts
+from roadsight.io.records.placement_tables import (
+    SiteTraffic,
+    read_poses,
+    read_tilts,
+    read_traffic,
+    write_detections,
+)
 from roadsight.placement.sensors.poses import local_from_sensor, not_dominated, pose_name, turns_of
 from roadsight.placement.sensors.sensors import load_sensor, load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.posed import Panorama
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, logged
 from roadsight.stages.placement.shared.detection_inputs import (
     DetectionFiles,
     read_shaped_targets,
     said_of_shape,
     sight_of,
 )
-from roadsight.stages.progress import logged
 
 log = logging.getLogger("detect_poses")
 

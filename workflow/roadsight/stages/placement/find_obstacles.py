@@ -12,20 +12,25 @@ from typing import Annotated, Any, Literal
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Lidar
 from roadsight.base.sections.sensing import Obstacles as ObstacleSettings
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.standing import StandingCloud
+from roadsight.io.cloud.tiles import StandingCloud
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import read_detections
-from roadsight.io.records.lanes import read_traffic
-from roadsight.io.records.poses import read_poses, read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.placement_tables import (
+    read_detections,
+    read_poses,
+    read_tilts,
+    read_traffic,
+)
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
@@ -41,25 +46,24 @@ from roadsight.placement.sensors.sensors import (
     load_sensor,
     load_sensors,
 )
-from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
+from roadsight.placement.sight.lanes import Traffic, free_shares
 from roadsight.placement.sight.objects import kind_of_name
-from roadsight.placement.sight.obstacle_cells import (
-    cell_lines,
-    obstacles_of_target,
-    points_by_cell,
-)
 from roadsight.placement.sight.obstacles import (
+    NEAREST,
     Cast,
     ObjectsAt,
     blocked_sight_lines,
     by_object,
+    cell_lines,
     explain_gaps,
     group_obstacles,
     object_finder,
+    obstacles_of_target,
     pairs_in_range,
+    points_by_cell,
 )
 from roadsight.stages.command import Command
-from roadsight.stages.placement.shared.allowed import AllowedFiles, allowed_candidates
+from roadsight.stages.placement.shared.plan_choices import AllowedFiles, allowed_candidates
 
 log = logging.getLogger("find_obstacles")
 
@@ -306,6 +310,72 @@ def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     columns = table.drop(columns=["x", "y", "z"])
     geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
     return gpd.GeoDataFrame(columns, geometry=geometry)
+
+
+# Why targets stay unseen beyond what stands in the way: weather, dark targets, vehicles.
+
+# Reasons as tables and reports name them; the first two are those of `explain_gaps`.
+OUT_OF_RANGE = "out of range"
+
+HIDDEN = "hidden"
+
+WEATHER = "in range only without rain and fog"
+
+DARK = "in range only of brighter targets"
+
+VEHICLES = "hidden by vehicles too often"
+
+
+def refine_reasons(
+    gaps: pd.DataFrame, bright_m: float, dark_m: float, often: Bools | None
+) -> pd.Series:
+    """Reasons of `explain_gaps` with what effects take away.
+
+    A target beyond a range that effects shorten is told apart from one that nothing could reach;
+    what stands in the way of most lines of sight comes before vehicles.
+
+    Parameters
+    ----------
+    gaps : columns reason (by the range in clear air) and nearest_m.
+    bright_m : longest range of the plan's sensors in the air of the site, to targets as bright as
+        those of which ranges are stated. dark_m : the same to the site's targets.
+    often : (n,) whether vehicles hide the target too often from all near candidates; None: no
+        traffic.
+    """
+    within = gaps["reason"] != OUT_OF_RANGE
+    nearest_m = gaps["nearest_m"].to_numpy(np.float64)
+    reason = gaps["reason"].to_numpy(dtype=object).copy()
+    if often is not None:
+        reason[within & (gaps["reason"] != HIDDEN) & often] = VEHICLES
+    reason[within & (nearest_m > dark_m)] = DARK
+    reason[within & (nearest_m > bright_m)] = WEATHER
+    return pd.Series(reason, index=gaps.index)
+
+
+def hidden_too_often(
+    targets: pd.DataFrame,
+    candidates: pd.DataFrame,
+    traffic: Traffic,
+    availability: float,
+    target_height_m: float,
+) -> Bools:
+    """Whether vehicles hide each target (n,) from its nearest candidates more than is allowed.
+
+    Parameters
+    ----------
+    targets : columns x, y, z (feet). candidates : x, y, z; local metres.
+    availability : share of the time in which a sensor must see its targets.
+    """
+    place = candidates[["x", "y", "z"]].to_numpy(np.float64)
+    foot = targets[["x", "y", "z"]].to_numpy(np.float64)
+    count = min(NEAREST, len(place))
+    near = cKDTree(place).query(foot, k=count)[1].reshape(-1, count)
+    middles = foot + np.array([0.0, 0.0, target_height_m / 2])
+    best = np.zeros(len(foot))
+    for candidate in np.unique(near):
+        rows = np.flatnonzero((near == candidate).any(axis=1))
+        best[rows] = np.maximum(best[rows], free_shares(traffic, place[candidate], middles[rows]))
+    return np.asarray(best < availability)
 
 
 main = Command(find_obstacles)

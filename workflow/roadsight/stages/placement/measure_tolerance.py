@@ -15,7 +15,7 @@ import pandas as pd
 from roadsight.base.arrays import Bools
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_detections
+from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.plans.tolerance import Change, lost_shares, tolerance_of
 from roadsight.stages.command import Command

@@ -23,17 +23,20 @@ from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.io.vector.mount_files import read_mounts
+from roadsight.io.vector.known import read_mounts
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
-from roadsight.placement.candidates.candidates import stack_candidates
-from roadsight.placement.candidates.positions import positions_along
-from roadsight.placement.candidates.sites_for_sensors import (
+from roadsight.placement.candidates.candidates import (
+    REACH_M,
+    has_measured_ground,
+    positions_along,
+    stack_candidates,
+)
+from roadsight.placement.candidates.mounting import (
     POLE,
     outside_zones,
     positions_on_poles,
 )
-from roadsight.placement.candidates.solid import REACH_M, has_measured_ground
 from roadsight.stages.command import Command
 
 log = logging.getLogger("place_candidates")

@@ -21,15 +21,16 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import read_layer, write_layers
-from roadsight.placement.candidates.examined import (
+from roadsight.placement.candidates.targets import (
     at_least_inside,
     examined_areas_m2,
+    headings_along,
+    place_targets,
+    points_needed,
     road_within,
 )
-from roadsight.placement.candidates.targets import headings_along, place_targets, points_needed
 from roadsight.placement.plans.plan_doubts import target_doubts
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import tell
+from roadsight.stages.command import Command, tell
 
 log = logging.getLogger("place_targets")
 

@@ -16,8 +16,8 @@ from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
 from roadsight.base.sections.sensing import CellFilling, DepthModel, Lidar
 from roadsight.base.shards import Shard
-from roadsight.io.cloud.standing import StandingCloud
-from roadsight.io.images.depth_networks import network_for
+from roadsight.io.cloud.tiles import StandingCloud
+from roadsight.io.images.models import network_for
 from roadsight.io.records.depth_maps import (
     DepthMapInfo,
     DepthMaps,
@@ -25,16 +25,15 @@ from roadsight.io.records.depth_maps import (
     range_step_m,
 )
 from roadsight.io.records.kept import Kept, key_of, key_of_step
-from roadsight.io.records.poses import read_poses, read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.placement_tables import read_poses, read_tilts
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.io.records.tables import read_table
-from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.depth.unet import model_of_points
 from roadsight.placement.sensors.rays import NOT_CAST_M, as_seen_from
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
-from roadsight.placement.sight.wanted import beams_wanted
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.placement.sight.sight import beams_wanted
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("render_depth_maps")
 

@@ -16,13 +16,12 @@ import numpy as np
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Run
-from roadsight.io.cloud.standing import StandingCloud
-from roadsight.io.records.depth_pairs import stack_pairs, write_pairs
+from roadsight.io.cloud.tiles import StandingCloud
+from roadsight.io.records.depth_maps import stack_pairs, write_pairs
 from roadsight.io.records.tables import read_table
-from roadsight.placement.depth.depth_sensor import HEIGHTS_M, RANGES_M, training_sensor
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.placement.depth.unet import HEIGHTS_M, RANGES_M, training_sensor
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("render_depth_pairs")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
@@ -18,10 +18,9 @@ from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.poses import read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.placement_tables import read_tilts
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.io.records.tables import read_table
-from roadsight.placement.depth.scanning import scan_directions
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m, reflectivity_range_m
 from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
@@ -122,6 +121,79 @@ def _hearing(air_paths: Sequence[Path], surfaces_paths: Sequence[Path]) -> Heari
         )
 
     return heard
+
+
+# What a sensor in a pose would record of the scene: the scan of each kind.
+#
+# A solid-state LiDAR records one frame from phase zero. A camera records no ranges: its scan is
+# the surface that its pixels show, thinned to what a report can draw. A radar's is what each cell
+# of its angular resolution meets first.
+
+_MOST_PIXELS = 200_000
+"""Pixels of a camera's scan: what a report can draw."""
+
+
+def scan_directions(sensor: AimedSensor) -> Floats:
+    """Unit vectors (n, 3) in the sensor frame along which a scan looks."""
+    if isinstance(sensor, Rosette):
+        return rosette_directions(sensor)
+    if isinstance(sensor, Camera):
+        return _pixel_directions(sensor)
+    if isinstance(sensor, Radar):
+        return _cell_directions(sensor)
+    raise TypeError(f"no scan of {type(sensor).__name__}")
+
+
+def rosette_directions(
+    sensor: Rosette, phases_rad: tuple[float, float] | NDArray = (0.0, 0.0)
+) -> Floats:
+    """The points of one frame in their order, lasers in turn.
+
+    Parameters
+    ----------
+    phases_rad : angles of both prisms as the frame begins.
+    """
+    number = np.arange(int(sensor.points))
+    time_s = number / sensor.points_per_s
+    one, two = (
+        2 * np.pi * hertz * time_s + phase
+        for hertz, phase in zip(sensor.rotors_hz, phases_rad, strict=True)
+    )
+    arrow = sensor.field_deg / 4
+    u = arrow * (np.cos(one) + np.cos(two))
+    v = arrow * (np.sin(one) + np.sin(two)) + sensor.laser_offsets_deg[number % sensor.lasers]
+    angle = np.radians(np.hypot(u, v))
+    share = np.radians(np.sinc(angle / np.pi))  # sine over angle, of degrees
+    return np.column_stack([np.cos(angle), share * u, share * v])
+
+
+def _pixel_directions(camera: Camera) -> Floats:
+    """Pixels, every n-th in both directions."""
+    pixels = camera.columns_px * camera.rows_px
+    step = max(int(np.ceil(np.sqrt(pixels / _MOST_PIXELS))), 1)
+    u, v = (
+        (np.arange(step // 2, count, step) + 0.5 - count / 2) / camera.focal_px
+        for count in (camera.columns_px, camera.rows_px)
+    )
+    left, up = (part.ravel() for part in np.meshgrid(u, v))
+    rays = np.column_stack([np.ones(len(left)), left, up])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+def _cell_directions(radar: Radar) -> Floats:
+    """Middles of cells: the resolution of the zone that each azimuth lies in, both ways."""
+    parts, inner = [], 0.0
+    low, high = radar.elevation_min_deg, radar.elevation_max_deg
+    for zone in radar.zones:
+        count = max(round((zone.half_angle_deg - inner) / zone.resolution_deg), 1)
+        side = inner + (np.arange(count) + 0.5) * (zone.half_angle_deg - inner) / count
+        rows = max(round((high - low) / zone.resolution_deg), 1)
+        up = low + (np.arange(rows) + 0.5) * (high - low) / rows
+        parts.append(np.stack(np.meshgrid(np.concatenate([-side[::-1], side]), up), -1))
+        inner = zone.half_angle_deg
+    azimuth, elevation = np.radians(np.concatenate([part.reshape(-1, 2) for part in parts])).T
+    flat = np.cos(elevation)
+    return np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
 
 
 main = Command(render_scans)

@@ -14,37 +14,54 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
-from roadsight.base.arrays import Bools, Ints
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Run
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.places import bearing_deg, longitudes_latitudes
+from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.placement_tables import read_traffic
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.placement.candidates.siting import needs_by_area
-from roadsight.placement.plans.choices import posed_candidates
+from roadsight.placement.plans.availability import (
+    CommonTraffic,
+    at_level,
+    counted_shares,
+    past_traffic,
+    share_matrix,
+)
 from roadsight.placement.plans.handover import stations_m
-from roadsight.placement.plans.plan_answer import Answer, Better, answer
+from roadsight.placement.plans.plan_answer import Answer, Better, answer, see_again, stretches
 from roadsight.placement.plans.plan_doubts import plan_doubts
-from roadsight.placement.plans.plan_problem import Asked, pose
-from roadsight.placement.plans.seen_again import see_again, stretches
+from roadsight.placement.plans.plan_problem import Asked, pose, posed_candidates
 from roadsight.placement.plans.tolerance import solve_with_tolerance
-from roadsight.placement.sight.coverage import availability, times_seen
+from roadsight.placement.sight.detection import availability, times_seen
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import Effort, WorkLimit
+from roadsight.setcover.common.problem import HIGHS, WITHIN_GAP
 from roadsight.setcover.common.program import version
-from roadsight.setcover.common.result import HIGHS, WITHIN_GAP
 from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.joint import solve_joint
 from roadsight.setcover.plans.whole import solve_whole, verify
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import tell
+from roadsight.stages.command import Command, tell
 from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
-from roadsight.stages.placement.shared.cover_inputs import read_asked
-from roadsight.stages.placement.shared.level_cover import LevelFiles, cover_at_level, described
+from roadsight.stages.placement.shared.cover_inputs import PlanFiles, read_asked
 from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 
 log = logging.getLogger("solve_cover")
+
+
+# Covers that must see each target with a probability: traffic read, solved, told.
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelFiles(PlanFiles):
+    """A plan that must see each target with a probability."""
+
+    availability: Annotated[float | None, "how often targets must be in sight"] = None
+    lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
+    target_height_m: float = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -457,6 +474,93 @@ def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
     return gpd.GeoDataFrame(
         columns, geometry=gpd.points_from_xy(table["x"], table["y"], table["z"])
+    )
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """A cover at a level.
+
+    Parameters
+    ----------
+    shares : (targets,) how often at least one sensor sees each target. record : what solution.json
+        says of it.
+    """
+
+    cover: Cover
+    shares: Floats
+    record: dict[str, Any]
+
+
+def cover_at_level(
+    given: LevelFiles,
+    level: float,
+    detections: pd.DataFrame,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    targets: pd.DataFrame,
+) -> Levelled:
+    """Cheapest sensors that together see each target with the plan's probability.
+
+    Raises
+    ------
+    InputError : targets cannot reach the level and may not be left below it.
+    """
+    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]].astype(str))
+    shares = share_matrix(detections, pairs, pd.Index(targets["target"].astype(str)))
+    position = choices["position"].to_numpy(np.int64)
+    costs = choices["cost"].to_numpy(np.float64)
+    oracle = None
+    if given.lanes:
+        feet = targets[["x", "y", "z"]].to_numpy(np.float64)
+        middles = feet + np.array([0.0, 0.0, given.target_height_m / 2])
+        sensors_m = candidates[["x", "y", "z"]].to_numpy(np.float64)[position]
+        traffic = read_traffic(given.lanes[0]).lanes
+        shares = past_traffic(shares, traffic, sensors_m, middles)
+        posed = at_level(shares, costs, position, level)
+        oracle = CommonTraffic(traffic, sensors_m, middles, shares, level, posed.below)
+    else:
+        log.warning("no traffic is simulated: every sensor sees its targets for certain")
+        posed = at_level(shares, costs, position, level)
+    _check_below(given, level, posed.below.tolist(), targets)
+    cover = solve_joint(posed.problem, given.cover.time_limit_s, given.cover.gap, oracle)
+    hidden = shares[cover.chosen].copy()
+    hidden.data = np.log1p(-np.minimum(hidden.data, 1 - 1e-12))
+    alone = -np.expm1(np.asarray(hidden.sum(axis=0)).ravel())
+    seen = alone if oracle is None else oracle.joint_shares(cover.chosen)
+    below = sorted({*posed.below.tolist(), *(oracle.given_up if oracle else ())})
+    _check_below(given, level, below, targets)
+    record = {
+        "level": level,
+        "independent": described(alone),
+        "below": {str(targets["target"].iloc[t]): float(seen[t]) for t in below},
+        **described(seen),
+    }
+    return Levelled(cover, seen, record)
+
+
+def described(shares: Floats) -> dict[str, Any]:
+    """Mean, least and classes of availability."""
+    return {
+        "mean": float(shares.mean()),
+        "least": float(shares.min()),
+        "histogram": counted_shares(shares),
+    }
+
+
+def _check_below(given: LevelFiles, level: float, below: list[int], targets: pd.DataFrame) -> None:
+    if not below or given.uncoverable == "exclude":
+        return
+    first = ", ".join(targets["target"].astype(str).iloc[below[:5]])
+    raise InputError(
+        f"{len(below)} of {len(targets)} targets are in sight less often than the plan asks,"
+        " even if every candidate carries a sensor",
+        where=f"site {given.site}, plan {given.plan}",
+        found=first,
+        allowed=f"{level:g} of the time",
+        hint="lower the plan's availability, lower conditions.availability so that sensors count"
+        " that see a target less often, or leave these targets below it with"
+        " coverage.uncoverable: exclude",
     )
 
 

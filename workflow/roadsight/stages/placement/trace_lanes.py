@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from roadsight.base.errors import InputError
-from roadsight.base.sections.conditions import Traffic
+from roadsight.base.sections.placement import Traffic
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.placement.sight.carriageways import lanes_abreast
+from roadsight.placement.sight.lanes import lanes_abreast
 from roadsight.placement.sight.lanes import trace_lanes as trace
 from roadsight.placement.sight.passing import vehicles_per_m
 from roadsight.stages.command import Command

@@ -15,15 +15,15 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.section import needed
 from roadsight.base.sections.placement import Cover, Coverage
-from roadsight.base.validation import needed
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
-from roadsight.scene.surfels.surfels import Surfels
+from roadsight.scene.surfels import Surfels
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.stages.command import Command

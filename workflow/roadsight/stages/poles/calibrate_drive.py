@@ -14,7 +14,7 @@ import pandas as pd
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Calibration, SideViews
-from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.dense import GivenLens
@@ -31,7 +31,6 @@ from roadsight.poles.calibration.calibration import (
     with_centre_held,
     with_centre_open,
 )
-from roadsight.poles.calibration.calibration_centre import centre_doubts
 from roadsight.poles.calibration.calibration_dense import (
     FEWEST,
     IMAGES,
@@ -47,10 +46,9 @@ from roadsight.poles.calibration.calibration_table import (
     measure_drift,
     to_content,
 )
-from roadsight.poles.calibration.calibration_ties import Shared, with_ties
+from roadsight.poles.calibration.calibration_together import Shared, centre_doubts, with_ties
 from roadsight.poles.calibration.calibration_upright import aimed
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import tell
+from roadsight.stages.command import Command, tell
 from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_scene
 from roadsight.stages.poles.shared.dense_inputs import DenseFiles, DenseScene, method_of
 

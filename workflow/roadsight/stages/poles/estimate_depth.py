@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Networks
 from roadsight.base.shards import WHOLE, Shard
-from roadsight.io.images.image_shards import ImageShardWriter
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import ImageShardWriter, LabelImages
 from roadsight.io.images.models import open_model
 from roadsight.io.images.videologs import ImageSource
 from roadsight.poles.images.networks import (
@@ -28,9 +27,8 @@ from roadsight.poles.images.networks import (
     tensor_of,
 )
 from roadsight.poles.images.views import VIEWS, View, ViewName
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, logged
 from roadsight.stages.poles.shared.view_inputs import Stretched, views_with_images
-from roadsight.stages.progress import logged
 
 log = logging.getLogger("estimate_depth")
 

@@ -17,10 +17,8 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
-from roadsight.poles.sightings.stem_shapes import StemShapes, stem_shapes
-from roadsight.poles.sightings.stems import find_stems, with_stems
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.poles.sightings.stems import StemShapes, find_stems, stem_shapes, with_stems
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("find_pole_columns")
 COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")

@@ -20,23 +20,30 @@ from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.sightings.blocks import SIGMA_M as BLOCK_SIGMA_M
-from roadsight.poles.sightings.blocks import Block, BlockCells, block_cells, join_blocks
-from roadsight.poles.sightings.crowns import (
+from roadsight.poles.sightings.buildings import (
+    ROOF_AREA_M2,
+    Block,
+    BlockCells,
+    block_cells,
+    join_blocks,
+    roof_cells,
+    steady_roofs,
+)
+from roadsight.poles.sightings.buildings import SIGMA_M as BLOCK_SIGMA_M
+from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
+from roadsight.poles.sightings.trees import REACH_M as TRUNK_REACH_M
+from roadsight.poles.sightings.trees import (
     SIGMA_M,
     Crowns,
+    Trunks,
     canopy_cell_m,
     find_crowns,
+    find_trunks,
     measure_density,
     reach_m,
 )
-from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
-from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
-from roadsight.poles.sightings.trunks import REACH_M as TRUNK_REACH_M
-from roadsight.poles.sightings.trunks import Trunks, find_trunks
 from roadsight.poles.triangulate.cloud_objects import TRUNK_COLUMNS
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("find_roadside_objects")
 COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m", *TRUNK_COLUMNS)

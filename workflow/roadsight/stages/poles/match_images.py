@@ -20,8 +20,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.image_matches import Features, consecutive, features, matched
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("match_images")
 _FRAME = ["image", "path", "route", "sequence", "status", "x", "y", "width_px", "height_px"]

@@ -26,8 +26,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.drive.videolog import OK, Site, build_frames
 from roadsight.scene.classes import is_road
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("read_videolog")
 

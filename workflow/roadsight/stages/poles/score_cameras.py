@@ -10,7 +10,7 @@ from typing import Annotated
 
 import pandas as pd
 
-from roadsight.base.matches import tell_named
+from roadsight.base.doubts import tell_named
 from roadsight.evidence.camera_scores import camera_errors, camera_scores
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras

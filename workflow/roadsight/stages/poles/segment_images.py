@@ -14,13 +14,12 @@ from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Networks
 from roadsight.base.shards import WHOLE, Shard
-from roadsight.io.images.image_shards import ImageShardWriter
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import ImageShardWriter, LabelImages
 from roadsight.io.images.models import open_model, read_label_map
 from roadsight.io.images.videologs import ImageSource
-from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.manifest import Labels
+from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.networks import (
+    Labels,
     class_mask,
     folder_mask,
     is_stretched,
@@ -28,9 +27,8 @@ from roadsight.poles.images.networks import (
     tensor_of,
 )
 from roadsight.poles.images.views import VIEWS, View, ViewName
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, logged
 from roadsight.stages.poles.shared.view_inputs import Stretched, views_with_images
-from roadsight.stages.progress import logged
 
 log = logging.getLogger("segment_images")
 

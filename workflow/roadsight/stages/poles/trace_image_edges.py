@@ -16,8 +16,7 @@ from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.image_edges import BORDER, LANE, ImageEdges, trace_edges
 from roadsight.poles.images.views import usable, views_of
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("trace_image_edges")
 

@@ -16,8 +16,7 @@ from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.pole_masks import Instance, find_instances
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("trace_pole_axes")
 TEXTS = ("image", "view", "kind", "foot")

@@ -15,35 +15,26 @@ import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
-from roadsight.base.matches import tell_matches
+from roadsight.base.doubts import tell_matches
 from roadsight.base.sections.poles import Triangulation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.pole_decisions import read_decisions
-from roadsight.io.records.sighting_tables import in_native, write_csv
+from roadsight.io.records.sighting_tables import in_native, read_decisions, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.sightings.confirm import confirmed
-from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
-from roadsight.poles.sightings.network_scale import network_scales, with_scales
+from roadsight.poles.sightings.metric_depth import COLUMNS as NETWORK_COLUMNS
+from roadsight.poles.sightings.metric_depth import network_scales, with_scales
 from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
-from roadsight.poles.triangulate.decided import apply_decisions
-from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import (
     drop_near_structures,
     shares_above,
     withhold_thin,
     withhold_under_crowns,
-)
-from roadsight.poles.triangulate.panels import (
-    are_filled,
-    panel_edges,
-    withhold_by_height,
-    withhold_filled,
 )
 from roadsight.poles.triangulate.pole_doubts import (
     crown_doubts,
@@ -51,16 +42,24 @@ from roadsight.poles.triangulate.pole_doubts import (
     network_doubts,
     pole_doubts,
 )
-from roadsight.poles.triangulate.probability import UNKNOWN, probability_source, real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
     POLE_COLUMNS,
+    SHAPE_COLUMNS,
     SHARED_COLUMNS,
     SIGHTING_COLUMNS,
+    UNKNOWN,
+    apply_decisions,
+    are_filled,
+    panel_edges,
+    probability_source,
+    real_probability,
     site_poles,
+    with_shapes,
+    withhold_by_height,
+    withhold_filled,
 )
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import tell
+from roadsight.stages.command import Command, tell
 
 log = logging.getLogger("triangulate_poles")
 

@@ -22,12 +22,16 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.pose import FOCAL
 from roadsight.poles.calibration.calibration_table import from_content
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
-from roadsight.poles.images.image_matches import Features, features, matched
-from roadsight.poles.images.side_matches import Votes, agreed_turn, turn_votes
-from roadsight.poles.images.stitching import side_intrinsics
-from roadsight.poles.images.views import VIEWS
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.poles.images.image_matches import (
+    Features,
+    Votes,
+    agreed_turn,
+    features,
+    matched,
+    turn_votes,
+)
+from roadsight.poles.images.views import VIEWS, side_intrinsics
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("turn_side_views")
 _Row = Mapping[Hashable, Any]

@@ -16,10 +16,15 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.poles.drive.drive_lenses import Key, lens_of, with_given
-from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.views import VIEWS, ViewName, usable, views_of
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.poles.images.views import (
+    VIEWS,
+    ViewName,
+    source_places,
+    straightened,
+    usable,
+    views_of,
+)
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("undistort_views")
 

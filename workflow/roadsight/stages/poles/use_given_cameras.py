@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 
-from roadsight.base.matches import tell_named
+from roadsight.base.doubts import tell_named
 from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
@@ -18,10 +18,9 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, logged
 from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, camera_table
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
-from roadsight.stages.progress import logged
 
 log = logging.getLogger("use_given_cameras")
 NOT_GIVEN = "no camera is given"

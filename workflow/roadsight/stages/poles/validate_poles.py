@@ -20,13 +20,12 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.known import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.risk.branches import CELL_M, find_branches
-from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places
-from roadsight.poles.risk.tracks import RouteTracks
+from roadsight.poles.risk.roads import RouteTracks
+from roadsight.poles.risk.scenarios import CELL_M, ScenarioSettings, classify_places, find_branches
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
     THRESHOLDS_M,

@@ -20,7 +20,7 @@ from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_lines, write_layers
-from roadsight.scene.edges.splines import FURTHEST_M, outline_edges, spline_line
+from roadsight.scene.splines import FURTHEST_M, outline_edges, spline_line
 from roadsight.stages.command import Command
 
 log = logging.getLogger("build_edges")

@@ -9,14 +9,12 @@ from typing import Annotated
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.sections.sensing import SurfelMaking
-from roadsight.io.cloud.standing import StandingCloud
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.cloud.tiles import StandingCloud
+from roadsight.io.records.surfaces import write_surfels
 from roadsight.scene.classes import VEGETATION
-from roadsight.scene.surfels.local import build_local_surfels
-from roadsight.scene.surfels.outliers import in_company
-from roadsight.scene.surfels.voxel_moments import add_moments, sum_moments
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.scene.surfels import build_local_surfels, in_company
+from roadsight.scene.voxel_planes import add_moments, sum_moments
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("build_surfels")
 

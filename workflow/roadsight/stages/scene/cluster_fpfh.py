@@ -18,9 +18,13 @@ from roadsight.base.sections.scene import GroundClasses
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.scene.pavement.describe import describe_ground
-from roadsight.scene.pavement.smoothness import SmoothnessModel, fit_smoothness, is_smooth
-from roadsight.scene.spacing import plan_spacing_m, uses_intensity
+from roadsight.scene.pavement.fpfh import (
+    SmoothnessModel,
+    describe_ground,
+    fit_smoothness,
+    is_smooth,
+)
+from roadsight.scene.profile import plan_spacing_m, uses_intensity
 from roadsight.stages.command import Command
 
 log = logging.getLogger("cluster_fpfh")

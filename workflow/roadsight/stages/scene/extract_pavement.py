@@ -26,7 +26,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
-from roadsight.io.vector.known_road import read_seeds, read_track
+from roadsight.io.vector.known import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
 from roadsight.scene.pavement.choice import Choice, choose_method
@@ -36,8 +36,7 @@ from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_dou
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.terrain.terrain import Bounds
 from roadsight.scene.whole import road_of, sharpen
-from roadsight.stages.command import Command
-from roadsight.stages.doubts import tell
+from roadsight.stages.command import Command, tell
 
 log = logging.getLogger("extract_pavement")
 

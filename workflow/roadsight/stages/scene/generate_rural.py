@@ -12,23 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
-from roadsight.base.sections.run import Run
-from roadsight.base.sections.sample import RuralScene, RuralSurvey, Sample
+from roadsight.base.sections.run import Run, RuralScene, RuralSurvey, Sample
 from roadsight.io.cloud.clouds import write_laz
-from roadsight.io.images.videolog_shards import write_csv
+from roadsight.io.images.image_shards import write_csv
 from roadsight.io.records.atomic import write_json
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.command import Command
-from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rural.airborne_scanner import (
+from roadsight_worlds.rendering.images import RuralRenderer
+from roadsight_worlds.rural.airborne_scanner import (
     AirborneScanner,
     Returns,
     scan_rural,
 )
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.rural_truth import rural_layers
-from roadsight.synthetic.rural.videolog import GpsNoise, drifting, random_drives, shots
-from roadsight.synthetic.rural.videolog_tables import (
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.rural_truth import rural_layers
+from roadsight_worlds.rural.videolog import GpsNoise, drifting, random_drives, shots
+from roadsight_worlds.rural.videolog_tables import (
     CAMERA_DECIMALS,
     POLE_DECIMALS,
     VIDEOLOG_DECIMALS,

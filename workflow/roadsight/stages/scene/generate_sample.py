@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
+import geopandas as gpd
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
-from roadsight.base.sections.run import Run
-from roadsight.base.sections.sample import HighwayScene, Sample
+from roadsight.base.sections.run import HighwayScene, Run, Sample
+from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
-from roadsight.io.vector.sample import write_native_lines
+from roadsight.io.records.atomic import write_json
 from roadsight.io.vector.vectors import write_layers
 from roadsight.scene.classes import VEGETATION
 from roadsight.stages.command import Command
-from roadsight.synthetic.highway.airborne_survey import survey
-from roadsight.synthetic.highway.highway import EPSG, build_highway
-from roadsight.synthetic.highway.mobile_scanner import PointChunk, scan
-from roadsight.synthetic.highway.truth import digitised_edges, truth_layers
+from roadsight_worlds.highway.airborne_survey import survey
+from roadsight_worlds.highway.highway import EPSG, build_highway
+from roadsight_worlds.highway.mobile_scanner import PointChunk, scan
+from roadsight_worlds.highway.truth import digitised_edges, truth_layers
 
 _FIRST_SECOND_OF_WEEK = 200_000.0
 """When the scan begins, s of the GPS week: some moment on a Tuesday."""
+
 TRUTH_DIMENSION = "truth_class"
 """Extra dimension of the cloud with each point's `TruthClass`: for scoring, never an input."""
 
@@ -75,6 +79,34 @@ def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray[Any]
         "number_of_returns": once,
         TRUTH_DIMENSION: np.concatenate([part.truth_class for part in parts]),
     }
+
+
+# Lines digitised in the cloud's own CRS, as a user's GIS writes them.
+
+_DECIMALS = 3
+"""Of written coordinates in the cloud's unit, a millimetre in metres."""
+
+
+def write_native_lines(
+    path: str | os.PathLike[str], lines: gpd.GeoDataFrame, frame: Frame, epsg: int
+) -> None:
+    """Write lines as GeoJSON of the 2008 kind: native coordinates and a ``crs`` member.
+
+    The same lines give the same bytes.
+
+    Parameters
+    ----------
+    lines : LineStrings in local metres with their properties.
+    epsg : code of the native CRS, whose unit is the metre.
+    """
+    features = []
+    for row in lines.itertuples(index=False):
+        properties = row._asdict()
+        vertices = frame.to_native(shapely.get_coordinates(properties.pop("geometry")))
+        geometry = {"type": "LineString", "coordinates": np.round(vertices, _DECIMALS).tolist()}
+        features.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    crs = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
+    write_json(path, {"type": "FeatureCollection", "crs": crs, "features": features})
 
 
 main = Command(generate_sample)

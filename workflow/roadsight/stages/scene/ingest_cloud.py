@@ -29,12 +29,17 @@ from roadsight.io.cloud.cloud_scan import OVERLAP, CloudScan, Take, kept_chunks,
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
 from roadsight.io.cloud.point_filter import in_share
 from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
-from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
-from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.cloud.tile_writer import (
+    TileDraft,
+    TileWriter,
+    colour_shift,
+    is_coloured,
+    tile_columns,
+)
 from roadsight.io.cloud.tiles import Tile
 from roadsight.io.records.atomic import write_json
-from roadsight.io.vector.extent import Within
-from roadsight.io.vector.extent import read_extent as read_site_extent
+from roadsight.io.vector.site_bounds import Within
+from roadsight.io.vector.site_bounds import read_extent as read_site_extent
 from roadsight.stages.command import Command
 
 log = logging.getLogger(__name__)

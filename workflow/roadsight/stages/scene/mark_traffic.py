@@ -21,8 +21,7 @@ from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.scene.grids import Grid
 from roadsight.scene.traffic import Columns, is_traffic
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
+from roadsight.stages.command import Command, logged
 
 log = logging.getLogger("mark_traffic")
 

@@ -11,20 +11,17 @@ from typing import Annotated
 
 import numpy as np
 
-from roadsight.base.sections.run import Run
-from roadsight.base.sections.sample import RuralLenses, RuralScene, Sample
+from roadsight.base.sections.run import Run, RuralLenses, RuralScene, Sample
 from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
-from roadsight.io.images.image_shards import ImageShardWriter
-from roadsight.io.images.videolog_shards import JpegShardWriter
+from roadsight.io.images.image_shards import ImageShardWriter, JpegShardWriter
 from roadsight.poles.images.views import view_name
-from roadsight.stages.command import Command
-from roadsight.stages.progress import logged
-from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rendering.rendering_look import drive_look, random_finish
-from roadsight.synthetic.rural.rural_road import build_rural
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight.stages.command import Command, logged
+from roadsight_worlds.rendering.images import RuralRenderer
+from roadsight_worlds.rendering.rendering_look import drive_look, random_finish
+from roadsight_worlds.rural.rural_road import build_rural
+from roadsight_worlds.rural.videolog import random_drives, shots
 
 log = logging.getLogger("render_videolog")
 

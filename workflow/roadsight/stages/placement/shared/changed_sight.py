@@ -13,17 +13,16 @@ import numpy as np
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
+from roadsight.base.section import needed
 from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
-from roadsight.base.validation import needed
-from roadsight.io.records.poses import read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.placement_tables import read_tilts
+from roadsight.io.records.surfaces import read_surfels
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.plans.tolerance import Change, changes
 from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.kinds import Box, room_for
-from roadsight.placement.sight.sight import count_beams
-from roadsight.placement.sight.wanted import beams_wanted
+from roadsight.placement.sight.sight import beams_wanted, count_beams
 from roadsight.stages.placement.shared.detection_inputs import (
     SightFiles,
     read_shaped_targets,

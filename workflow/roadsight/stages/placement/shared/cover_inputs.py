@@ -16,7 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Cover, Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
-from roadsight.io.vector.point_tables import attribute_numbers, read_points
+from roadsight.io.vector.known import attribute_numbers, read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_polygons
 from roadsight.placement.plans.plan_problem import Asked

@@ -30,8 +30,7 @@ from roadsight.poles.alignment.visible import FARTHEST_M, SceneCloud
 from roadsight.poles.calibration.calibration_dense import DenseLoader
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.evidence import ImageEvidence
-from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.views import view_name
+from roadsight.poles.images.views import source_places, straightened, view_name
 from roadsight.stages.poles.shared.alignment_inputs import SceneFiles
 
 _TILES = 64

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadsight.base.shards import WHOLE, Shard
-from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.image_shards import LabelImages
 from roadsight.io.records.tables import read_table
 from roadsight.poles.images.views import View, usable, views_of
 

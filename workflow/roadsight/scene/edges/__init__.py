@@ -1,1 +1,0 @@
-"""Road edges: splines, the overhead view, curbs beside a track."""

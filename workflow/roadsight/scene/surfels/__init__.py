@@ -1,1 +1,0 @@
-"""The cloud as oriented surfels: moments, planes, patches."""

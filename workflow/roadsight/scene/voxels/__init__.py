@@ -1,1 +1,0 @@
-"""Voxels by class, and the overhead view of them."""

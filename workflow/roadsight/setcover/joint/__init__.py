@@ -1,1 +1,0 @@
-"""Covers in which several choices together see a target often enough."""

@@ -1,1 +1,0 @@
-"""The cloud in the browser."""

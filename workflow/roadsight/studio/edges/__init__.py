@@ -1,1 +1,0 @@
-"""Edges, zones and mounts drawn on the cloud."""

@@ -1,1 +1,0 @@
-"""Plans as people write them: saved in the site file, and files to take away."""

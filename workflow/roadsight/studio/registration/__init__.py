@@ -1,1 +1,0 @@
-"""Cameras registered by hand."""

@@ -1,1 +1,0 @@
-"""Runs of the workflow from the studio."""

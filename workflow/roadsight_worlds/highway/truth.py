@@ -1,0 +1,153 @@
+"""What is true about the sample site: surfaces, pavement, edges, poles, objects."""
+
+from __future__ import annotations
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from roadsight.base.arrays import Bytes, Floats
+from roadsight_worlds.casting.alignment import to_plan
+from roadsight_worlds.casting.primitives import BOX, ELLIPSOID, RECTANGLE, Bodies, body_extent_m
+from roadsight_worlds.casting.scene import Scene
+from roadsight_worlds.casting.terrain import height_at
+from roadsight_worlds.highway.highway import Highway, build_highway
+
+_LINE_STEP_M = 0.5
+"""Chords that edges are drawn by."""
+_CLICK_SPACING_M = (15.0, 25.0)
+"""Least and greatest distance between the points that a person would click on an edge."""
+_CLICK_SIGMA_M = 0.05
+"""How far a person clicks beside the edge, one sigma."""
+
+
+def sample_scene(seed: int, length_m: float) -> Scene:
+    """Exact scene of the sample site in its local frame (see `Highway.frame`)."""
+    return build_highway(seed, length_m).scene
+
+
+def surface_at(highway: Highway, xy_m: ArrayLike) -> tuple[Bytes, Floats]:
+    """True class (n,) and exact height (n,) of the ground at local plan points (n, 2), metres.
+
+    The height is NaN beyond the site; objects that stand on the ground do not count.
+    """
+    return highway.ground_classes(xy_m), height_at(highway.terrain, xy_m)
+
+
+def truth_layers(highway: Highway) -> dict[str, gpd.GeoDataFrame]:
+    """Layers ``pavement``, ``edges``, ``poles`` and ``objects`` in local metres.
+
+    Curves are drawn by chords of 0.5 m, at most 0.06 mm off. A pole's point is its foot.
+    """
+    return {
+        "pavement": _pavement(highway),
+        "edges": _edges(highway),
+        "poles": _poles(highway),
+        "objects": _objects(highway),
+    }
+
+
+def digitised_edges(highway: Highway, rng: np.random.Generator) -> gpd.GeoDataFrame:
+    """Edges as somebody would click them: a point every 15 m to 25 m, 5 cm off along each axis.
+
+    LineStrings in local metres: the outer edges of both carriageways (``kind`` "edge") and the
+    middle of the median ("median").
+    """
+    outer = highway.section.pavement_m[1]
+    lines = {"left": (outer, "edge"), "median": (0.0, "median"), "right": (-outer, "edge")}
+    clicked = []
+    for offset, _ in lines.values():
+        stations = _click_stations(highway.length_m, rng)
+        exact = to_plan(
+            highway.alignment, np.column_stack([stations, np.full_like(stations, offset)])
+        )
+        clicked.append(exact + rng.normal(0.0, _CLICK_SIGMA_M, exact.shape))
+    columns = {"edge": list(lines), "kind": [kind for _, kind in lines.values()]}
+    return gpd.GeoDataFrame(columns, geometry=[shapely.LineString(line) for line in clicked])
+
+
+def _click_stations(length_m: float, rng: np.random.Generator) -> Floats:
+    """Stations from the start to the end of the site, the last step as it comes out."""
+    stations = [0.0]
+    while stations[-1] + _CLICK_SPACING_M[1] < length_m:
+        stations.append(stations[-1] + rng.uniform(*_CLICK_SPACING_M))
+    return np.array([*stations, length_m])
+
+
+def _line(highway: Highway, offset_m: float) -> Floats:
+    """Plan points (n, 2) along an offset, from the start to the end of the site."""
+    pieces = int(np.ceil(highway.length_m / _LINE_STEP_M))
+    stations = np.linspace(0.0, highway.length_m, pieces + 1)
+    return to_plan(highway.alignment, np.column_stack([stations, np.full_like(stations, offset_m)]))
+
+
+def _pavement(highway: Highway) -> gpd.GeoDataFrame:
+    inner, outer = highway.section.pavement_m
+    shapes = [
+        shapely.Polygon(
+            np.concatenate([_line(highway, s * inner), _line(highway, s * outer)[::-1]])
+        )
+        for s in (1.0, -1.0)
+    ]
+    return gpd.GeoDataFrame({"carriageway": ["left", "right"]}, geometry=shapes)
+
+
+def _edges(highway: Highway) -> gpd.GeoDataFrame:
+    inner, outer = highway.section.pavement_m
+    offsets = {
+        "left": outer,
+        "median_left": inner,
+        "median": 0.0,
+        "median_right": -inner,
+        "right": -outer,
+    }
+    kinds = ["median" if name.startswith("median") else "edge" for name in offsets]
+    shapes = [shapely.LineString(_line(highway, offset)) for offset in offsets.values()]
+    columns = {"edge": list(offsets), "kind": kinds, "offset_m": list(offsets.values())}
+    return gpd.GeoDataFrame(columns, geometry=shapes)
+
+
+def _poles(highway: Highway) -> gpd.GeoDataFrame:
+    columns = {
+        name: [getattr(pole, name) for pole in highway.poles]
+        for name in ("kind", "station_m", "offset_m", "height_m", "radius_m")
+    }
+    feet = [shapely.Point(pole.xyz_m) for pole in highway.poles]
+    return gpd.GeoDataFrame(columns, geometry=feet)
+
+
+def _objects(highway: Highway) -> gpd.GeoDataFrame:
+    """Footprint of every object but the ground, with its lowest and highest point."""
+    scene, bodies = highway.scene, highway.scene.bodies
+    outlines = np.array([_outline(bodies, i) for i in range(len(bodies.kind))], dtype=object)
+    reach = body_extent_m(bodies)[:, 2]
+    bottom, top = bodies.centre_m[:, 2] - reach, bodies.centre_m[:, 2] + reach
+    numbers = [i for i in range(len(scene.objects)) if i != highway.terrain.object_id]
+    parts = [np.flatnonzero(bodies.object_id == i) for i in numbers]
+    columns = {
+        "object_id": list(numbers),
+        "kind": [scene.objects[i].kind for i in numbers],
+        "truth_class": [int(scene.objects[i].truth_class) for i in numbers],
+        "bottom_m": [float(bottom[part].min()) for part in parts],
+        "top_m": [float(top[part].max()) for part in parts],
+    }
+    shapes = [shapely.union_all(outlines[part]) for part in parts]
+    return gpd.GeoDataFrame(columns, geometry=shapes)
+
+
+def _outline(bodies: Bodies, i: int) -> shapely.Geometry:
+    """Footprint of a body, round ones with 32 corners."""
+    rotation, half = bodies.scene_from_body[i], bodies.half_m[i]
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    if bodies.kind[i] in (BOX, RECTANGLE):
+        signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+        plan = signs * half @ rotation[:2].T
+    elif bodies.kind[i] == ELLIPSOID:
+        spread = rotation[:2] * half
+        plan = circle @ np.linalg.cholesky(spread @ spread.T).T
+    else:
+        rims = [np.column_stack([circle, np.full(len(circle), end)]) for end in (-1, 1)]
+        plan = np.concatenate(rims) * half @ rotation[:2].T
+    return shapely.MultiPoint(bodies.centre_m[i, :2] + plan).convex_hull
