@@ -12,7 +12,10 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[1] / "workflow" / "roadsight"
+WORKFLOW = Path(__file__).resolve().parents[1] / "workflow"
+PACKAGE = WORKFLOW / "roadsight"
+BESIDE = ("roadsight_worlds", "roadsight_hardcases", "roadsight_training")
+"""Packages beside the product; each is a room, named without what all of them begin with."""
 
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("base",),
@@ -21,8 +24,9 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("placement", "poles"),
     ("effects",),
     ("io",),
-    ("synthetic", "config"),
+    ("worlds", "config"),
     ("evidence",),
+    ("hardcases",),
     ("report",),
     ("stages",),
     ("training", "studio"),
@@ -56,15 +60,29 @@ def allowed(room: str) -> set[str]:
 
 def imports() -> Iterator[tuple[str, str, str]]:
     """File, its room, and a room that it imports, for every import of the package."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        inside = path.relative_to(PACKAGE)
-        if len(inside.parts) == 1:
+    for path in (file for name in ("roadsight", *BESIDE) for file in _files(WORKFLOW / name)):
+        inside = path.relative_to(WORKFLOW)
+        room = _room(inside.parts)
+        if room is None:
             continue
         for statement in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             for module in _modules(statement):
-                parts = module.split(".")
-                if parts[0] == "roadsight" and len(parts) > 1 and (PACKAGE / parts[1]).is_dir():
-                    yield str(inside), inside.parts[0], parts[1]
+                other = _room(tuple(module.split(".")))
+                if other is not None:
+                    yield str(inside), room, other
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py"))
+
+
+def _room(parts: tuple[str, ...]) -> str | None:
+    """Room of a file or module by the parts of its name; None for the package itself and others."""
+    if parts[0] in BESIDE:
+        return parts[0].removeprefix("roadsight_")
+    if parts[0] == "roadsight" and len(parts) > 1 and (PACKAGE / parts[1]).is_dir():
+        return parts[1]
+    return None
 
 
 def _modules(statement: ast.AST) -> list[str]:

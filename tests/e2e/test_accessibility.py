@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from roadsight_hardcases.case import CaseResult
-from roadsight_hardcases.catalogue import all_cases
 from roadsight.evidence.truth.catalogue import AREAS
 from roadsight.evidence.truth.table import Figure, truth_rows
 from roadsight.report.evidence import audit_page, hardcases_page, truth_page
 from roadsight.report.files import read_assets
 from roadsight.stages.evidence import write_poles_page, write_report, write_site_page
+from roadsight_hardcases.case import CaseResult
+from roadsight_hardcases.catalogue import all_cases
 from tests.conftest import PROJECT
 from tests.e2e.accessible import axe, findings
 from tests.e2e.studio_page import click, key, open_studio, set_size

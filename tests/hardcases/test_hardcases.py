@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadsight_hardcases.case import CaseResult, hard_case, measure
-from roadsight_hardcases.catalogue import all_cases
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases, share_of_bound
 from roadsight.report.files import read_assets
 from roadsight.stages.evidence.run_hardcases import case_table, main
+from roadsight_hardcases.case import CaseResult, hard_case, measure
+from roadsight_hardcases.catalogue import all_cases
 
 CASES = all_cases()
 NO_NUMERICS = {

@@ -7,7 +7,6 @@ import pandas as pd
 
 from roadsight.base.arrays import Numbers
 from roadsight.evidence.camera_scores import camera_errors
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.pose import SIZE, Spread
@@ -16,6 +15,7 @@ from roadsight.poles.calibration.calibration import Mount, shared_mean
 from roadsight.poles.calibration.registration import register_camera
 from roadsight.poles.sightings.lidar_poles import stem_axis
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
+from roadsight_hardcases.case import Errors, hard_case
 
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)
 """An ordinary camera of videologs: width and height px, focal length px."""

@@ -9,10 +9,10 @@ from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.placement.sight.detection import times_seen
 from roadsight.setcover.common.problem import INFEASIBLE, OPTIMAL, CoverProblem
 from roadsight.setcover.cover.solve import solve_cover_problem
+from roadsight_hardcases.case import Errors, hard_case
 
 
 def _greedy(matrix: Numbers, costs: Numbers, rounds: int) -> list[int]:

@@ -14,13 +14,13 @@ from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Candidates
 from roadsight.base.sections.scene import PavementOutline
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.placement.candidates.candidates import free_heights_m, positions_along
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.outline import outline_pavement
 from roadsight.scene.splines import natural_spline
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 
 def _arc(angle_rad: Numbers, radius_m: float = 50.0) -> Numbers:

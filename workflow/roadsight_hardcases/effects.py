@@ -8,7 +8,6 @@ from scipy.special import lambertw
 from shapely import LineString, MultiPolygon, Polygon
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.geometry.lens import RadialLens
 from roadsight.placement.candidates.tilt import road_normals, tilt_rotation
 from roadsight.placement.sensors.light import (
@@ -19,6 +18,7 @@ from roadsight.placement.sensors.light import (
 from roadsight.placement.sight.lanes import trace_lanes
 from roadsight.poles.drive.drive_profile import beside_track
 from roadsight.scene.pavement.reflectivity import ASPHALT, reflectivity_of
+from roadsight_hardcases.case import Errors, hard_case
 
 
 @hard_case("model_fog", bound=1e-6, unit="m")

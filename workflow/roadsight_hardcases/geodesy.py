@@ -8,7 +8,6 @@ from pyproj import CRS, Geod, Proj, Transformer
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.crs import linear_units, parse_crs
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.location import (
@@ -21,6 +20,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.geometry.stated import stated_crs
 from roadsight.poles.drive.videolog import OK, Site, locate
 from roadsight.poles.risk.validation import geodesic_m
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 _GEOD = Geod(ellps="WGS84")
 

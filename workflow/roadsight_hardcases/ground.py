@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.sections.scene import GroundFilter
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster, write_raster
 from roadsight.scene.grids import Grid
 from roadsight.scene.profile import mean_spacing_m
 from roadsight.scene.traffic import Columns, is_traffic
 from roadsight.scene.whole import ground_of
+from roadsight_hardcases.case import Errors, hard_case
 
 
 def _lowest_in_pillar(xyz: Numbers) -> Numbers:

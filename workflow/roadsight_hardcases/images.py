@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.cameras import Intrinsics, cam_from_world
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.image_matches import agreed_turn, features, matched, turn_votes
@@ -15,6 +14,7 @@ from roadsight.poles.images.networks import LabelMap, folder_mask, packed_depth
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.images.views import turned
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, ground_distances, sample_depth
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 
 @hard_case("segment_images", bound=0.5, unit="pixels of a class that is not there")

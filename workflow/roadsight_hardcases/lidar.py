@@ -13,7 +13,6 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.ray_casting import RayScene
 from roadsight.io.cloud.clouds import read_laz, write_laz
@@ -30,6 +29,7 @@ from roadsight.placement.sight.posed import Panorama
 from roadsight.placement.sight.sight import Sight
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_planes import sum_moments
+from roadsight_hardcases.case import Errors, hard_case
 
 _AT = (0.0, 0.0, 0.0)
 """Where the sensor stands, local metres."""

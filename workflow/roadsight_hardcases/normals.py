@@ -8,7 +8,6 @@ from sklearn.cluster import KMeans
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.sections.scene import Pavement
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.scene.pavement.fpfh import (
     describe_ground,
     fit_smoothness,
@@ -17,6 +16,7 @@ from roadsight.scene.pavement.fpfh import (
     nearest_neighbours,
     upward_normals,
 )
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 _FAR = np.array([500_000.0, 6_543_000.0, 200.0])
 """Easting, northing and height of a place in UTM, m: there, single precision has steps of 0.5 m."""

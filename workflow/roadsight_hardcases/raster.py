@@ -10,7 +10,6 @@ from scipy.spatial import Delaunay
 from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import RoadEdges
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.ray_casting import RayScene
 from roadsight.scene.road_edges import (
@@ -29,6 +28,7 @@ from roadsight.scene.terrain.tin import (
     triangulate,
 )
 from roadsight.scene.voxel_classes import VoxelGrid, add_runs, count_classes, settle
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 _FAR = np.array([632_000.0, 6_543_000.0, 0.0])
 """Easting and northing of a place in UTM, m: there, single precision has steps of 0.5 m."""

@@ -8,7 +8,6 @@ from pyproj import Geod
 from scipy.optimize import curve_fit
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, fails, hard_case
 from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
@@ -18,6 +17,7 @@ from roadsight.poles.triangulate.rays import (
     make_rays,
     pair_rays,
 )
+from roadsight_hardcases.case import Errors, fails, hard_case
 
 _GEOD = Geod(ellps="WGS84")
 _FINE = UNAIDED.model_copy(

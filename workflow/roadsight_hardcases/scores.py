@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.evidence.pavement_scores import binary_scores
 from roadsight.poles.risk.hazard import side_slopes
 from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.risk.scenarios import track_radius_m
 from roadsight.poles.risk.validation import describe, match_points
+from roadsight_hardcases.case import Errors, hard_case
 
 
 @hard_case("rate_hazard", bound=0.01, unit="rise over run")

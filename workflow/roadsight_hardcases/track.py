@@ -6,12 +6,12 @@ import numpy as np
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.sections.poles import Videolog
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 from roadsight.poles.drive.videolog import headings_deg, split_drives
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, matching_columns
+from roadsight_hardcases.case import Errors, hard_case
 
 
 def _chords_deg(xy_m: Numbers) -> Numbers:

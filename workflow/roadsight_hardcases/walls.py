@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from roadsight.base.arrays import Numbers
-from roadsight_hardcases.case import Errors, hard_case
 from roadsight.placement.depth.hybrid import hybrid_depth
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.rays import sensor_from_spherical
 from roadsight.placement.sensors.sensors import Sensor
+from roadsight_hardcases.case import Errors, hard_case
 
 _NEAR_M = 10.0
 """Way to the barrier's face."""

@@ -10,8 +10,8 @@ from typing import Annotated
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import RuralScene
 from roadsight.stages.command import Command
-from roadsight_worlds.rendering.rendering_training import random_training_views
 from roadsight_training.samples import Sample, write_sample
+from roadsight_worlds.rendering.rendering_training import random_training_views
 
 log = logging.getLogger("render_dataset")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from roadsight.io.records.sources import stage_module
-from scripts.rooms import FLOORS, PACKAGE, allowed, floor_of, imports
+from scripts.rooms import BESIDE, FLOORS, PACKAGE, WORKFLOW, allowed, floor_of, imports
 from tests.conftest import PROJECT
 
 MOST_FILES = 24
@@ -24,6 +24,8 @@ def test_imports_run_down():
 
 def test_every_folder_of_the_package_is_a_room_and_every_room_is_there():
     folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").is_file()}
+    assert all((WORKFLOW / name / "__init__.py").is_file() for name in BESIDE)
+    folders |= {name.removeprefix("roadsight_") for name in BESIDE}
     assert folders == {room for rooms in FLOORS for room in rooms}
 
 
@@ -34,7 +36,7 @@ def test_an_arrow_that_runs_up_is_noticed():
         floor_of("attic")
 
 
-@pytest.mark.parametrize("root", ["workflow/roadsight", "workflow/rules", "tests"])
+@pytest.mark.parametrize("root", ["workflow", "tests"])
 def test_no_folder_is_a_crowd(root: str):
     files = [path for path in (PROJECT / root).rglob("*") if path.is_file()]
     shown = [path for path in files if "__pycache__" not in path.parts]

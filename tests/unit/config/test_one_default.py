@@ -13,14 +13,14 @@ from roadsight.base.sections.run import Sample
 from roadsight.config.schema import Config
 from tests.conftest import PROJECT
 
-PACKAGE = PROJECT / "workflow" / "roadsight"
+WORKFLOW = PROJECT / "workflow"
 ABSENT = object()
 
 OTHER = {
     "base/seeds.py": ("SEED", "where the default stands"),
     "base/shards.py": ("shards", "the whole, where nothing is shared out"),
     "evidence/costs.py": ("images shards rounds", "amounts of a mile"),
-    "evidence/hardcases": ("radius_m points", "what a hard case is made of"),
+    "roadsight_hardcases": ("radius_m points", "what a hard case is made of"),
     "evidence/truth": ("farthest_m", "points of a frame of real data"),
     "placement/candidates/candidates.py": ("reach_m", "length of edge that says a direction"),
     "poles/alignment/landmarks.py": ("axis_px nearest_m farthest_m", "errors and reach of poles"),
@@ -34,22 +34,22 @@ OTHER = {
     "poles/risk/profiles.py": ("window_m", "the same"),
     "poles/risk/roads.py": ("offset_m", "from a road's axis"),
     "poles/sightings/metric_depth.py": ("nearest_m farthest_m", "feet on the ground"),
-    "scene/edges/curbs.py": ("reach_m nearest_m window_m shortest_m", "of kerbs beside a track"),
-    "scene/pavement/paved.py": ("reach_m", "of a place to pavement"),
+    "scene/curbs.py": ("reach_m nearest_m window_m shortest_m", "of kerbs beside a track"),
+    "stages/scene/rasterise_lidar.py": ("reach_m", "of a place to pavement"),
     "scene/pavement/road_surface.py": ("window_m", "of a surface's own roughness"),
-    "scene/terrain/ground_doubts.py": ("points", "that were compared"),
-    "scene/terrain/occlusion.py": ("reach_m", "of a camera's sight"),
+    "stages/scene/build_dem.py": ("points", "that were compared"),
+    "scene/terrain/tin.py": ("reach_m", "of a camera's sight"),
     "setcover": (
         "gap at_least patience NEIGHBOURS PATIENCE",
         "of a library that knows no settings: the best cover, each target once, without an end",
     ),
     "api/covers.py": ("gap at_least", "the same"),
-    "commands/cover_options.py": ("at_least", "the same"),
-    "stages/placement/shared/allowed.py": ("mounting", "rules of mounting as JSON"),
-    "synthetic/casting": ("slope width_m height_m radius_m length_m", "scenes of a single body"),
-    "synthetic/highway/highway_ground.py": ("lanes", "of a highway"),
-    "synthetic/rendering": ("length_m", "of a road to train on"),
-    "synthetic/rural/videolog.py": ("height_m", "how a camera shakes"),
+    "commands/cover.py": ("at_least", "the same"),
+    "stages/placement/shared/plan_choices.py": ("mounting", "rules of mounting as JSON"),
+    "roadsight_worlds/casting": ("slope width_m height_m radius_m length_m", "scenes of a single body"),
+    "roadsight_worlds/highway/highway_ground.py": ("lanes", "of a highway"),
+    "roadsight_worlds/rendering": ("length_m", "of a road to train on"),
+    "roadsight_worlds/rural/videolog.py": ("height_m", "how a camera shakes"),
 }
 """Names that are those of settings and mean something else, by file or folder, and what."""
 
@@ -145,11 +145,10 @@ def allowed(path: str, name: str) -> str | None:
 def found():
     """Name and place of all that is written again, by file."""
     return {
-        str(file.relative_to(PACKAGE)): repeated(
-            str(file.relative_to(PACKAGE)), file.read_text("utf-8")
-        )
-        for file in sorted(PACKAGE.rglob("*.py"))
-        if "sections" not in file.parts
+        name: repeated(name, file.read_text("utf-8"))
+        for file in sorted(WORKFLOW.rglob("*.py"))
+        if (name := str(file.relative_to(WORKFLOW)).removeprefix("roadsight/"))
+        and "sections" not in file.parts
     }
 
 

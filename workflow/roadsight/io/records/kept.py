@@ -41,11 +41,11 @@ def key_of_step(files: Iterable[str | os.PathLike[str]], *settings: Any) -> str:
 
 
 def _code() -> list[str]:
-    """Checksums of the package's modules that this process has loaded."""
+    """Checksums of our modules that this process has loaded."""
     files = {
         str(module.__file__)
         for name, module in list(sys.modules.items())
-        if name.partition(".")[0] == "roadsight" and getattr(module, "__file__", None)
+        if name.startswith("roadsight") and getattr(module, "__file__", None)
     }
     return sorted(sha256(file) for file in files)
 

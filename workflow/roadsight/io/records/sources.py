@@ -17,6 +17,7 @@ from roadsight.io.records.atomic import atomic_path, read_json, write_json
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
 
+_PACKAGES = ("roadsight", "roadsight_worlds", "roadsight_hardcases", "roadsight_training")
 _DECLARED = "roadsight.base.sections"
 """Settings are declared there; their values reach a stage as its rule's params or are defaults, so
 that a sentence about one makes no result stale."""
@@ -39,6 +40,11 @@ def stage_module(stage: str) -> str:
     raise ValueError(f"there is no stage {stage!r}")
 
 
+def _package_files() -> list[Path]:
+    """Python files of the product and of the packages beside it."""
+    return sorted(path for name in _PACKAGES for path in (_PACKAGE_ROOT / name).rglob("*.py"))
+
+
 def stage_sources(stage: str) -> list[str]:
     """First-party files that the module of a stage pulls in, relative to the work folder."""
     return [str(path) for path in _Sources().of(stage)]
@@ -56,7 +62,7 @@ class _Sources:
     def __init__(self, memory: Path | None = None) -> None:
         self._root = _shown_root()
         self._files: dict[str, Path] = {}
-        for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+        for path in _package_files():
             if not path.is_file():
                 continue  # a link that an editor left
             parts = path.relative_to(_PACKAGE_ROOT).with_suffix("").parts
@@ -205,7 +211,7 @@ def _imports(content: bytes) -> list[str]:
         elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
             module = statement.module
             names += [module, *(f"{module}.{alias.name}" for alias in statement.names)]
-    return [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
+    return [name for name in dict.fromkeys(names) if name.partition(".")[0] in _PACKAGES]
 
 
 def _statements(block: ast.AST) -> Iterator[ast.AST]:
@@ -219,7 +225,7 @@ def _statements(block: ast.AST) -> Iterator[ast.AST]:
 def package_digest() -> str:
     """Short digest of all the package's sources, by content."""
     digest = hashlib.sha256()
-    for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+    for path in _package_files():
         digest.update(path.relative_to(_PACKAGE_ROOT).as_posix().encode() + b"\0")
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -8,9 +8,9 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from roadsight_hardcases.case import CaseResult
 from roadsight.report.files import template_environment
 from roadsight.report.wording import number
+from roadsight_hardcases.case import CaseResult
 
 STYLES = ("base.css", "parts.css", "hardcases.css")
 TEMPLATE = "hardcases.html.j2"

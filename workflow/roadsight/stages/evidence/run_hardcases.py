@@ -12,13 +12,13 @@ import pandas as pd
 
 from roadsight import __version__
 from roadsight.base.sections.run import Run
-from roadsight_hardcases.case import CaseResult, measure
-from roadsight_hardcases.catalogue import all_cases
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.sighting_tables import write_csv
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command, logged
+from roadsight_hardcases.case import CaseResult, measure
+from roadsight_hardcases.catalogue import all_cases
 
 log = logging.getLogger("run_hardcases")
 
