@@ -40,13 +40,7 @@ _UNITS = {
 _TAILS = ("m", "m2", "px", "px2", "s", "degrees", "px an image", "1/m2", "km/h", "mm/h", "cells")
 """Units that end a description, which the column of units says already."""
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-_KINDS = {
-    float: "number",
-    int: "whole number",
-    str: "text",
-    bool: "true or false",
-    Any: "anything",
-}
+_KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "anything"}
 _HEAD = ("Key", "Type", "Default", "Range", "Unit", "What it is")
 
 

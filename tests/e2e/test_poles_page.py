@@ -124,12 +124,7 @@ def test_theme_follows_the_reader_and_texts_stand_out(themed):
 
 @pytest.mark.parametrize(
     ("layer", "colour"),
-    [
-        ("poles", "pole"),
-        ("cameras", "camera"),
-        ("lidar", "lidar-edge"),
-        ("raster", "top-road"),
-    ],
+    [("poles", "pole"), ("cameras", "camera"), ("lidar", "lidar-edge"), ("raster", "top-road")],
 )
 def test_layers_of_the_map_can_be_hidden(page, layer, colour):
     for _ in range(3):

@@ -86,10 +86,7 @@ def queries(masks: np.ndarray, classes: np.ndarray, size: Sequence[int | str]) -
         tensor("w", np.ascontiguousarray(masks, np.float32)[:, :, None, None]),
         tensor("c", np.ascontiguousarray(classes, np.float32)[None]),
     ]
-    nodes = [
-        node("Identity", ["c"], "class_logits"),
-        node("Conv", ["image", "w"], "mask_logits"),
-    ]
+    nodes = [node("Identity", ["c"], "class_logits"), node("Conv", ["image", "w"], "mask_logits")]
     outputs = [
         value("class_logits", [1, *classes.shape]),
         value("mask_logits", [1, len(masks), *size]),

@@ -9,12 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.shards import deal
-from roadsight.geometry.cameras import (
-    Intrinsics,
-    azimuth_deg,
-    cam_from_world,
-    project,
-)
+from roadsight.geometry.cameras import Intrinsics, azimuth_deg, cam_from_world, project
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.raster.rasters import write_raster

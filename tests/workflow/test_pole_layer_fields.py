@@ -232,11 +232,7 @@ PLACED = {
     "rays": check_rays,
     "guardrails": check_guardrails,
 }
-RATED = {
-    "hazard": check_hazard,
-    "cross_sections": check_sections,
-    "road_geometry": check_geometry,
-}
+RATED = {"hazard": check_hazard, "cross_sections": check_sections, "road_geometry": check_geometry}
 FILES = {
     "placed.gpkg": PLACED,
     "poles.gpkg": PLACED | RATED,

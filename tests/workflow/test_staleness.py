@@ -178,11 +178,7 @@ SETTINGS = [
     ("  shards: 2\n", "  shards: 2\n  pavement: {neighbours: 12}\n", after("cluster_fpfh")),
     ("  shards: 2\n", "  shards: 2\n  pavement: {closing_m: 1.5}\n", after("extract_pavement")),
     ("  shards: 2\n", "  shards: 2\n  lidar: {surfel_size_m: 0.12}\n", after("build_surfels")),
-    (
-        "  shards: 2\n",
-        "  shards: 2\n  lidar: {outlier_radius_m: 0.5}\n",
-        after("build_surfels"),
-    ),
+    ("  shards: 2\n", "  shards: 2\n  lidar: {outlier_radius_m: 0.5}\n", after("build_surfels")),
     (
         "  shards: 2\n",
         "  shards: 2\n  pavement: {cluster_engine: open3d}\n",

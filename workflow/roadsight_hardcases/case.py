@@ -88,9 +88,7 @@ def measure(case: HardCase, seed: int) -> CaseResult:
 
 
 def fails(
-    function: Callable[..., object],
-    *arguments: Any,
-    expected: tuple[type[Exception], ...] = (),
+    function: Callable[..., object], *arguments: Any, expected: tuple[type[Exception], ...] = ()
 ) -> float:
     """1 if a call breaks down by an exception that is not one of ``expected``, else 0."""
     try:

@@ -10,12 +10,7 @@ from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import linear_units, parse_crs
 from roadsight.geometry.frames import Frame
-from roadsight.geometry.location import (
-    area_of_use,
-    check_location,
-    longitude_latitude,
-    utm_code,
-)
+from roadsight.geometry.location import area_of_use, check_location, longitude_latitude, utm_code
 from roadsight.geometry.north import SiteNorth
 from roadsight.geometry.stated import stated_crs
 from roadsight.poles.drive.videolog import OK, Site, locate

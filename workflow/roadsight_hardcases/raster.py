@@ -12,13 +12,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import RoadEdges
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.ray_casting import RayScene
-from roadsight.scene.road_edges import (
-    clean_road,
-    edge_level,
-    edge_lines,
-    outlines,
-    smoothing_cells,
-)
+from roadsight.scene.road_edges import clean_road, edge_level, edge_lines, outlines, smoothing_cells
 from roadsight.scene.terrain.tin import (
     Terrain,
     TerrainSight,

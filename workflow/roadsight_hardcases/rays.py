@@ -11,12 +11,7 @@ from roadsight.base.arrays import Numbers
 from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
-from roadsight.poles.triangulate.rays import (
-    UNAIDED,
-    cross_rays,
-    make_rays,
-    pair_rays,
-)
+from roadsight.poles.triangulate.rays import UNAIDED, cross_rays, make_rays, pair_rays
 from roadsight_hardcases.case import Errors, fails, hard_case
 
 _GEOD = Geod(ellps="WGS84")

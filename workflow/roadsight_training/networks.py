@@ -79,10 +79,7 @@ class _Trunk(nn.Module):
     """Features of (n, inputs, h, w) that draw on all four sizes."""
 
     def __init__(
-        self,
-        inputs: int,
-        widths: tuple[int, int, int, int],
-        dilations: tuple[tuple[int, ...], ...],
+        self, inputs: int, widths: tuple[int, int, int, int], dilations: tuple[tuple[int, ...], ...]
     ) -> None:
         super().__init__()
         self.down = nn.ModuleList(

@@ -32,10 +32,7 @@ def render_dataset(
 ) -> None:
     """Write ``views`` views of each of ``sites`` sites."""
     if sites < 1 or views < 1:
-        raise InputError(
-            "--sites and --views must be 1 or more",
-            found=f"{sites} and {views}",
-        )
+        raise InputError("--sites and --views must be 1 or more", found=f"{sites} and {views}")
     for seed in range(first_seed, first_seed + sites):
         width_px, height_px = _SIZES_PX[seed % 2]
         shown = random_training_views(

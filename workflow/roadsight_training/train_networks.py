@@ -197,11 +197,7 @@ def _task(given: Training) -> Task:
 
 
 def _entry(
-    given: Training,
-    task: Task,
-    schedule: Schedule,
-    losses: list[float],
-    samples: list[Sample],
+    given: Training, task: Task, schedule: Schedule, losses: list[float], samples: list[Sample]
 ) -> dict[str, Any]:
     """What the record says about a training."""
     tenth = max(len(losses) // 10, 1)

@@ -46,7 +46,10 @@ OTHER = {
     "api/covers.py": ("gap at_least", "the same"),
     "commands/cover.py": ("at_least", "the same"),
     "stages/placement/shared/plan_choices.py": ("mounting", "rules of mounting as JSON"),
-    "roadsight_worlds/casting": ("slope width_m height_m radius_m length_m", "scenes of a single body"),
+    "roadsight_worlds/casting": (
+        "slope width_m height_m radius_m length_m",
+        "scenes of a single body",
+    ),
     "roadsight_worlds/highway/highway_ground.py": ("lanes", "of a highway"),
     "roadsight_worlds/rendering": ("length_m", "of a road to train on"),
     "roadsight_worlds/rural/videolog.py": ("height_m", "how a camera shakes"),

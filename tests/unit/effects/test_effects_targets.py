@@ -27,11 +27,7 @@ SENSOR = Sensor(
     divergence_mrad=(3.0, 1.5),
 )
 BEAM = np.radians(0.1) * np.radians(40 / 128)
-CONFIG = {
-    "sites": ["tradeoffs_highway"],
-    "sensors_file": "config/sensors.yaml",
-    "overrides": {},
-}
+CONFIG = {"sites": ["tradeoffs_highway"], "sensors_file": "config/sensors.yaml", "overrides": {}}
 TINY = {"kind": "box", "length_m": 0.1, "width_m": 0.05, "height_m": 0.08}
 
 

@@ -187,12 +187,7 @@ LEFT_OUT = {
     "scores": {"score_cameras", "score_pavement", "validate_poles"},
     "studies": {"compare_components", "match_inputs"},
     "effects": {"measure_reflectivity", "model_fog", "model_rain", "tilt_mounts", "trace_lanes"},
-    "some sites": {
-        "detect_poses",
-        "find_roadside_objects",
-        "undistort_views",
-        "use_given_cameras",
-    },
+    "some sites": {"detect_poses", "find_roadside_objects", "undistort_views", "use_given_cameras"},
 }
 """Steps that an estimate leaves out, by what they are for."""
 

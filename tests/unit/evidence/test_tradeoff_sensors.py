@@ -25,11 +25,7 @@ from roadsight_worlds.highway.highway import build_highway
 
 LENGTH_M = 60.0
 AS_MOUNTED = Poses().spinning.model_dump()
-CONFIG = {
-    "sites": ["tradeoffs_highway"],
-    "sensors_file": "config/sensors.yaml",
-    "overrides": {},
-}
+CONFIG = {"sites": ["tradeoffs_highway"], "sensors_file": "config/sensors.yaml", "overrides": {}}
 
 
 @pytest.fixture

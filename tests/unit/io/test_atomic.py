@@ -7,13 +7,7 @@ import subprocess
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import (
-    Incomplete,
-    WholeFile,
-    atomic_path,
-    read_json,
-    write_json,
-)
+from roadsight.io.records.atomic import Incomplete, WholeFile, atomic_path, read_json, write_json
 
 
 def test_output_appears_under_its_name_only_after_success(tmp_path):

@@ -178,10 +178,7 @@ class TestReport:
         anchors = {a["href"][1:] for tag, a in elements.tags if tag == "a"}
         assert anchors - {"content"} == {
             i for i in identifiers if re.fullmatch(r"site-\d+(-\w+)?", i)
-        } - {
-            "site-0-title",
-            "site-1-title",
-        }
+        } - {"site-0-title", "site-1-title"}
 
     def test_key_texts(self, elements):
         for text in (

@@ -159,10 +159,7 @@ class TestSightings:
 
 
 class TestImages:
-    @given(
-        st.lists(st.sampled_from([ACCEPTED, REJECTED, UNUSED]), max_size=80),
-        st.integers(3, 30),
-    )
+    @given(st.lists(st.sampled_from([ACCEPTED, REJECTED, UNUSED]), max_size=80), st.integers(3, 30))
     def test_choice_is_ordered_limited_and_never_unused(self, states, most):
         residual = np.linspace(0, 1, len(states))
         table = pd.DataFrame({"state": np.array(states, int), "residual_px": residual})

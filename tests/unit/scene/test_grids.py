@@ -3,12 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.scene.grids import (
-    Grid,
-    fill_gaps,
-    lowest_per_cell,
-    sample_bilinear,
-)
+from roadsight.scene.grids import Grid, fill_gaps, lowest_per_cell, sample_bilinear
 
 
 class TestGrid:

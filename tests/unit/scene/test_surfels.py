@@ -2,12 +2,7 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.scene.surfels import (
-    Patches,
-    build_surfels,
-    merge_coplanar,
-    patches_of_planes,
-)
+from roadsight.scene.surfels import Patches, build_surfels, merge_coplanar, patches_of_planes
 from roadsight.scene.voxel_planes import (
     add_moments,
     coarsen,

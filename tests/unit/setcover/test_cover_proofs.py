@@ -184,8 +184,7 @@ def test_cores_prove_what_all_targets_prove(kind, on_cores, monkeypatch):
     used = []
     prove = core.prove_on_core
     monkeypatch.setattr(
-        "roadsight.setcover.cover.solve.prove_on_core",
-        lambda *a: used.append(a) or prove(*a),
+        "roadsight.setcover.cover.solve.prove_on_core", lambda *a: used.append(a) or prove(*a)
     )
     monkeypatch.setattr(core, "_LARGEST_SHARE", 0.0)
     problems = [problem_of(kind, np.random.default_rng(seed)) for seed in range(14)]

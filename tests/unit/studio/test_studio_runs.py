@@ -16,17 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.studio.project import Project
 from roadsight.studio.run_progress import Order
-from roadsight.studio.runner import (
-    BEGUN,
-    BUSY,
-    ENDED,
-    EVENTS,
-    ORDER,
-    OUTPUT,
-    hold,
-    is_held,
-    main,
-)
+from roadsight.studio.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, hold, is_held, main
 from roadsight.studio.runs import FOLDER, Runs, processes_outside
 from tests.helpers.small_workflow import small_project
 
@@ -85,10 +75,7 @@ def test_a_failed_step_shows_its_log(runs, tmp_path):
     (step,) = state["failed"]
     assert step["rule"] == "count_steps" and step["wildcards"] == {"n": "2"}
     log = runs.log(step["job"])
-    assert log == {
-        "path": "logs/small/count_steps_2.log",
-        "text": "begins 2\nthe <b>reason</b>\n",
-    }
+    assert log == {"path": "logs/small/count_steps_2.log", "text": "begins 2\nthe <b>reason</b>\n"}
     (tmp_path / "fail").unlink()
     runs.start(Order(cores=2))
     assert ended(runs)["status"] == "done"

@@ -14,12 +14,7 @@ from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass
 from roadsight_worlds.casting.terrain import height_at
 from roadsight_worlds.highway.highway import build_highway
 from roadsight_worlds.highway.highway_ground import CrossSection, is_marking
-from roadsight_worlds.highway.truth import (
-    digitised_edges,
-    sample_scene,
-    surface_at,
-    truth_layers,
-)
+from roadsight_worlds.highway.truth import digitised_edges, sample_scene, surface_at, truth_layers
 
 
 @pytest.fixture(scope="module")

@@ -160,11 +160,7 @@ def _target(folder: Path, model: str) -> Target:
 
 
 def _planned(
-    path: Path,
-    number: int,
-    frame: Frame,
-    sensor: AnySensor,
-    position_m: Floats,
+    path: Path, number: int, frame: Frame, sensor: AnySensor, position_m: Floats
 ) -> Planned:
     cloud = read_laz(path)
     own = cloud.dims["point_source_id"] == number

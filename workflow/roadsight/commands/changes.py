@@ -77,9 +77,7 @@ def _read(path: str) -> pd.DataFrame:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            "has no place",
-            where=f"{path}, line {row + 2}",
-            found=", ".join(table[names].iloc[row]),
+            "has no place", where=f"{path}, line {row + 2}", found=", ".join(table[names].iloc[row])
         )
     sigma = next((name for name in _SIGMAS if name in table), None)
     unknown = np.full(len(table), np.nan)

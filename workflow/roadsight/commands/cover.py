@@ -280,12 +280,7 @@ def curve_of(given: CoverOptions, points: int, asked: Asked, cover: Cover) -> li
     least = max(math.fsum(charge[deployment.problem.mandatory]), float(charge.min(initial=most)))
     budgets = spread_budgets(min(least, most), most, points, objective_step(charge))
     curve = coverage_curve(
-        deployment,
-        budgets,
-        given.time_limit,
-        given.seed,
-        known=[cover.chosen],
-        solver=given.solver,
+        deployment, budgets, given.time_limit, given.seed, known=[cover.chosen], solver=given.solver
     )
     return [
         {

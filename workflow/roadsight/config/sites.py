@@ -204,8 +204,7 @@ class PolesInputs(Section):
         default=None, description="camera poses that come with the videolog, CSV"
     )
     intrinsics: str | KnownLens | None = Field(
-        default=None,
-        description="known lens: fx_px, cx_px, cy_px, or a CSV of them; it then holds",
+        default=None, description="known lens: fx_px, cx_px, cy_px, or a CSV of them; it then holds"
     )
     lenses: list[Lens] = Field(default=[], description="radial distortion; measured if absent")
 

@@ -300,10 +300,7 @@ settings:
 
 
 def describe_clouds(
-    scans: Sequence[CloudScan],
-    contents: Contents,
-    unit_m: float | None,
-    density_m2: float | None,
+    scans: Sequence[CloudScan], contents: Contents, unit_m: float | None, density_m2: float | None
 ) -> list[str]:
     """Extent, density, classes and other contents, one sentence each.
 

@@ -82,10 +82,7 @@ def read_answer(folder: Path, site: str, plan: str, without: str = "") -> Answer
 
 def changed_share(one: Answer, other: Answer) -> float:
     """Share of the detections, or of the candidates if that is more, that only one answer has."""
-    return max(
-        _apart(one.pairs, other.pairs),
-        _apart(one.candidates, other.candidates),
-    )
+    return max(_apart(one.pairs, other.pairs), _apart(one.candidates, other.candidates))
 
 
 def _apart(one: frozenset[Any], other: frozenset[Any]) -> float:

@@ -321,13 +321,7 @@ METRICS: dict[str, Metric] = {
         "Poles missed", "count", "poles", 0.0, _EXACT, _missed_poles, _VALIDATION
     ),
     "false_poles": Metric(
-        "False positives among poles",
-        "count",
-        "poles",
-        0.0,
-        _EXACT,
-        _false_poles,
-        _VALIDATION,
+        "False positives among poles", "count", "poles", 0.0, _EXACT, _false_poles, _VALIDATION
     ),
     "heading_error_deg": Metric(
         "Heading error, 90th percentile", "deg", "poles", 0.0, _EXACT, _heading_error_deg, _CAMERAS

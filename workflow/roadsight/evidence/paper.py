@@ -54,10 +54,7 @@ VOXELS_FT = (3, 5, 10)
 _FOOT_M = 0.3048
 _MILE_KM = 1.609344
 
-_FEWER_CANDIDATES = {
-    "candidates": {"spacing_m": 20, "height_step_m": 6},
-    "coverage": {"rounds": 1},
-}
+_FEWER_CANDIDATES = {"candidates": {"spacing_m": 20, "height_step_m": 6}, "coverage": {"rounds": 1}}
 _FEWEST_CANDIDATES = {
     "candidates": {"spacing_m": 40, "height_step_m": 6},
     "coverage": {"rounds": 0},

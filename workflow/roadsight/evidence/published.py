@@ -109,22 +109,13 @@ _ERRORS_M = {
 }  # fmt: skip
 
 COMPONENTS = {
-    "lidar_bearing": (
-        "LiDAR-guided bearing",
-        "essential: without it accuracy consistently drops",
-    ),
-    "alignment": (
-        "Road-edge alignment",
-        "critical where the camera's parameters are unknown",
-    ),
+    "lidar_bearing": ("LiDAR-guided bearing", "essential: without it accuracy consistently drops"),
+    "alignment": ("Road-edge alignment", "critical where the camera's parameters are unknown"),
     "occlusion": (
         "Occlusion filtering by ray casting",
         "optional in flat terrain, essential on slopes",
     ),
-    "side_views": (
-        "Side-view stitching",
-        "essential for objects that only side views show",
-    ),
+    "side_views": ("Side-view stitching", "essential for objects that only side views show"),
     "deterministic_mrf": (
         "Deterministic triangulation",
         "essential for the same result in every run",

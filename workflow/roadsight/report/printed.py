@@ -50,9 +50,7 @@ _GAPS_SHOWN = 40
 
 
 def paper_content(
-    page: dict[str, Any] | None,
-    poles_page: dict[str, Any] | None,
-    run: RunRecord | None,
+    page: dict[str, Any] | None, poles_page: dict[str, Any] | None, run: RunRecord | None
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Texts and pictures of a site's printed report.
 
@@ -220,9 +218,7 @@ def _sensor(sensor: Mapping[str, Any]) -> list[str]:
 
 
 def _add_poles(
-    content: dict[str, Any],
-    pictures: dict[str, bytes],
-    poles_page: dict[str, Any],
+    content: dict[str, Any], pictures: dict[str, bytes], poles_page: dict[str, Any]
 ) -> None:
     """Map and tables of the poles."""
     view = poles_view(poles_page)

@@ -239,11 +239,7 @@ def _median_spacing_m(distances_m: Floats) -> float:
 
 
 def describe_scene(
-    cells: Cells,
-    distances_m: Floats,
-    bounds_m: Sequence[float],
-    intensity: Ints,
-    has_colour: bool,
+    cells: Cells, distances_m: Floats, bounds_m: Sequence[float], intensity: Ints, has_colour: bool
 ) -> dict[str, Any]:
     """Profile of a scene.
 

@@ -36,11 +36,7 @@ class Columns:
 
 
 def is_traffic(
-    height_m: Floats,
-    top_m: Floats,
-    on_pavement: Bools,
-    lowest_m: float,
-    highest_m: float,
+    height_m: Floats, top_m: Floats, on_pavement: Bools, lowest_m: float, highest_m: float
 ) -> Bools:
     """Points on the pavement that stand clear of it in columns that end below vehicle height.
 

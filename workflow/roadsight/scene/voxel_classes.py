@@ -352,12 +352,7 @@ def winners(
 
 @compiled(nogil=True)
 def tops(
-    voxel: Ints,
-    cls: Bytes,
-    own: Ints,
-    points: Ints,
-    heights: Ints,
-    layers: int,
+    voxel: Ints, cls: Bytes, own: Ints, points: Ints, heights: Ints, layers: int
 ) -> tuple[Ints, Bytes, Floats, Floats]:
     """Column, class, height in layers and road share of each column; see `Columns`."""
     count = 0

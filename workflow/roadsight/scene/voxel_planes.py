@@ -255,13 +255,7 @@ def _find_block(key: int, occupied: Ints, pointers: Ints, block: Ints) -> None:
 
 @compiled_part()
 def _sum_block(
-    block: Ints,
-    moments: Floats32,
-    x_from: int,
-    y_from: int,
-    z_from: int,
-    width: int,
-    total: Floats,
+    block: Ints, moments: Floats32, x_from: int, y_from: int, z_from: int, width: int, total: Floats
 ) -> None:
     """Moments of a cube of ``width`` voxels of the block about the block's centre."""
     total[:] = 0

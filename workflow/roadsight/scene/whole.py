@@ -270,10 +270,7 @@ class Sharpened:
 
 
 def sharpen(
-    outline: MultiPolygon,
-    xyz_m: Floats,
-    intensity: Floats | None,
-    classes: Bytes | None = None,
+    outline: MultiPolygon, xyz_m: Floats, intensity: Floats | None, classes: Bytes | None = None
 ) -> Sharpened | None:
     """Smooth ground by FPFH and k-means, its edges told by steps, tone and roughness.
 

@@ -213,11 +213,7 @@ LIFTED = ("edges", "zones", "mounts", "add", "remove")
 
 
 def preview(
-    drawing: Drawing,
-    current: MultiPolygon,
-    terrain: Raster | None,
-    spacing_m: float,
-    arm_m: float,
+    drawing: Drawing, current: MultiPolygon, terrain: Raster | None, spacing_m: float, arm_m: float
 ) -> dict[str, Any]:
     """Splines of the edges, positions of candidates, the monitored area, and what is wrong.
 

@@ -135,14 +135,7 @@ def _bodies_by_cell(start: Ints, end: Ints, rows: int, columns: int) -> tuple[In
 
 
 @compiled(error_model="numpy")
-def _widen(
-    bottom: Floats,
-    top: Floats,
-    start: Ints,
-    end: Ints,
-    low: Floats,
-    high: Floats,
-) -> None:
+def _widen(bottom: Floats, top: Floats, start: Ints, end: Ints, low: Floats, high: Floats) -> None:
     """Widen the heights of the cells that bodies cover."""
     for i in range(len(start)):
         for row in range(start[i, 0], end[i, 0] + 1):

@@ -145,12 +145,7 @@ class RuralRenderer:
         return shade(look, self.site.surface, hits, cosine, sine)
 
     def render_view(
-        self,
-        camera: Camera,
-        look: Look,
-        finish: Finish,
-        seed: int,
-        lens: RadialLens | None = None,
+        self, camera: Camera, look: Look, finish: Finish, seed: int, lens: RadialLens | None = None
     ) -> RenderedView:
         """Render one image; the same arguments give the same pixels.
 

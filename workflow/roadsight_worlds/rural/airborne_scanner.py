@@ -240,11 +240,7 @@ def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[Bytes, Floats]:
 
 
 def _edge_errors(
-    renderer: RuralRenderer,
-    hits: Cast,
-    classes: Bytes,
-    share: float,
-    rng: np.random.Generator,
+    renderer: RuralRenderer, hits: Cast, classes: Bytes, share: float, rng: np.random.Generator
 ) -> Bytes:
     """Swap road and ground for some points near the pavement's edge."""
     edge = renderer.site.ground.section.pavement_m

@@ -179,11 +179,7 @@ def build_rural(
 
 
 def _ground(
-    line: RuralLine,
-    hills: Hills,
-    length_m: float,
-    scene: RuralScene,
-    rng: np.random.Generator,
+    line: RuralLine, hills: Hills, length_m: float, scene: RuralScene, rng: np.random.Generator
 ) -> RuralGround:
     """Ground with one side road, four driveways, car parks if any, and a stream."""
     section = Section(lanes=scene.lanes, lane_m=LANE_M * scene.lanes)

@@ -11,12 +11,7 @@ import pandas as pd
 from roadsight.geometry.cameras import compass_deg
 from roadsight.geometry.north import SiteNorth
 from roadsight_worlds.rural.rural_road import RuralSite
-from roadsight_worlds.rural.videolog import (
-    Shot,
-    attitude_of,
-    mount_of,
-    road_rotation,
-)
+from roadsight_worlds.rural.videolog import Shot, attitude_of, mount_of, road_rotation
 
 CAMERA_DECIMALS = (
     dict.fromkeys(("x_m", "y_m", "z_m", "height_above_road_m", "station_m"), 4)

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roadsight.placement.plans.acceptance import (
-    Target,
-    lost_targets,
-    planned_scan,
-    register,
-)
+from roadsight.placement.plans.acceptance import Target, lost_targets, planned_scan, register
 
 PLACE_M = np.array([3.0, 2.0, 6.0])
 STEP_DEG = np.array([1.0, 1.0])

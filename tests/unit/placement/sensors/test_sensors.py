@@ -178,10 +178,7 @@ def test_equal_definitions_are_equal_dictionaries():
         (f"{ROSETTE}, lasers: 0", "greater than or equal to 1"),
         (f"{ROSETTE}, points_per_sec: 1", "did you mean 'points_per_s'"),
         ("kind: radar, zones: []", "at least 1"),
-        (
-            "kind: radar, zones: [{half_angle_deg: 9, resolution_deg: 1}]",
-            "0.range_m' is missing",
-        ),
+        ("kind: radar, zones: [{half_angle_deg: 9, resolution_deg: 1}]", "0.range_m' is missing"),
         (f"kind: radar, zones: [{ZONE}, {ZONE}]", "must increase"),
         (f"kind: radar, zones: [{ZONE}], range_m: 99", "leave it out"),
         (f"kind: radar, zones: [{ZONE}], elevation_min_deg: 10", "must be below"),

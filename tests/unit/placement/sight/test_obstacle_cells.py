@@ -19,11 +19,7 @@ from roadsight.io.records.tables import write_table
 from roadsight.placement.depth.hybrid import hybrid_depth
 from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.placement.sight.obstacles import (
-    cell_lines,
-    obstacles_of_target,
-    points_by_cell,
-)
+from roadsight.placement.sight.obstacles import cell_lines, obstacles_of_target, points_by_cell
 from roadsight.stages.placement import find_obstacles
 from tests.unit.placement.sensors.test_detection import cylinder_range
 from tests.unit.placement.sight.test_obstacles import wall_of_surfels

@@ -36,12 +36,7 @@ def test_values_of_the_published_curves():
     assert CAMERA.needed(0.5) == 530
 
 
-@given(
-    st.floats(0.01, 2),
-    st.floats(-2, 1),
-    st.floats(0.01, 1),
-    st.integers(0, 10**6),
-)
+@given(st.floats(0.01, 2), st.floats(-2, 1), st.floats(0.01, 1), st.integers(0, 10**6))
 def test_the_number_needed_is_the_fewest_that_suffice(slope, offset, asked, number):
     curve = Curve(slope, offset)
     needed = curve.needed(asked)

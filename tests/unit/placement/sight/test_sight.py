@@ -168,10 +168,7 @@ class TestFootprints:
     def test_a_row_across_a_target_has_the_closed_form(self):
         # One channel at the target's middle; beams every 0.02 deg, footprint w, target width 2 r.
         fine = Sensor(
-            azimuth_step_deg=0.02,
-            elevations_deg=(0.0,),
-            range_m=100,
-            divergence_mrad=(4.0, 1e-6),
+            azimuth_step_deg=0.02, elevations_deg=(0.0,), range_m=100, divergence_mrad=(4.0, 1e-6)
         )
         foot = np.array([[50.0, 0.0, -0.3]])
         shares = count_shared_hits(

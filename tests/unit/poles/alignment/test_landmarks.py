@@ -9,12 +9,7 @@ import pytest
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 from roadsight.poles.alignment.drive import near_edges, places_of, sight_of
-from roadsight.poles.alignment.landmarks import (
-    LandmarkNoise,
-    landmark_misfit,
-    measure,
-    slopes,
-)
+from roadsight.poles.alignment.landmarks import LandmarkNoise, landmark_misfit, measure, slopes
 from roadsight.poles.alignment.locate import (
     admissible,
     associate,

@@ -8,12 +8,7 @@ import pytest
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, YAW
 from roadsight.poles.alignment.solve import ImageEdges, Noise
-from roadsight.poles.alignment.verdict import (
-    Limits,
-    agreeing_landmarks,
-    edge_doubt,
-    heading_turns,
-)
+from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt, heading_turns
 from roadsight.stages.poles.align_cameras import aligned, judged
 from tests.unit.poles.alignment.test_landmarks import bed, columns, tasks
 

@@ -72,11 +72,7 @@ def test_one_stretch_of_crooked_things_shows_in_the_jackknife(rng):
 
 @pytest.mark.parametrize(
     ("k1", "stretches", "told"),
-    [
-        (-0.1, 16, ""),
-        (-0.1, 3, "too few"),
-        (0.0, 16, "within three standard deviations"),
-    ],
+    [(-0.1, 16, ""), (-0.1, 3, "too few"), (0.0, 16, "within three standard deviations")],
 )
 def test_a_lens_from_too_little_is_not_to_be_used(rng, k1, stretches, told):
     """Lines of two or three stretches may agree by chance, however many there are."""

@@ -8,10 +8,7 @@ import pytest
 from roadsight.base.texts import read_yaml
 from roadsight.io.images.models import open_model
 from roadsight.poles.images.kinds import PixelClass
-from roadsight.poles.images.networks import (
-    class_mask,
-    tensor_of,
-)
+from roadsight.poles.images.networks import class_mask, tensor_of
 from tests.conftest import PROJECT
 from tests.helpers.onnx_bytes import network, node, pointwise, value
 

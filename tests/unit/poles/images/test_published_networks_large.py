@@ -45,11 +45,7 @@ PARAMETERS = {
     "oneformer_mapillary": 219e6,
 }
 """Weights of SegFormer B5, Depth Anything Small and OneFormer Swin-L, as in their papers."""
-AT_MOST_MIB = {
-    "segformer_cityscapes": 7000,
-    "depth_anything": 1200,
-    "oneformer_mapillary": 5000,
-}
+AT_MOST_MIB = {"segformer_cityscapes": 7000, "depth_anything": 1200, "oneformer_mapillary": 5000}
 """Of a stage; the page states what was measured."""
 AT_MOST_S = 1200
 """Of a stage, on a machine busy with other work; the page states what was measured."""

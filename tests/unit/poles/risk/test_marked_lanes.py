@@ -138,10 +138,7 @@ def test_markings_come_before_the_inventory_and_its_source_is_told():
         [whole, nothing, nothing, nothing, nothing | {"left_m": 3.1}, nothing, nothing]
     )
     known = pd.DataFrame(
-        {
-            "lanes": [4, 2, 2, NAN, 2, NAN, 2],
-            "lane_width_m": [3.0, 3.5, NAN, NAN, 3.5, 3.5, NAN],
-        },
+        {"lanes": [4, 2, 2, NAN, 2, NAN, 2], "lane_width_m": [3.0, 3.5, NAN, NAN, 3.5, 3.5, NAN]},
         dtype=float,
     )
     found = with_inventory(marked, known, np.array([8.0] * 6 + [NAN]))

@@ -64,10 +64,7 @@ def test_one_speed_for_all_roads_is_noted_and_none_doubted_where_no_inventory_is
         ({"aadt": 3000}, "clear zones and ratings are ranges for 60 to 110 km/h"),
         ({"design_speed_kmh": 70}, "clear zones, ratings and exposure are ranges for any traffic"),
         ({"clear_zone_m": 6}, "exposure is a range"),
-        (
-            {"clear_zone_m": 6, "aadt": 3000},
-            "barriers are judged by the longest runout lengths",
-        ),
+        ({"clear_zone_m": 6, "aadt": 3000}, "barriers are judged by the longest runout lengths"),
         ({"clear_zone_m": 6, "runout_length_m": 90, "aadt": 3000}, None),
     ],
 )

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from roadsight.poles.sightings.trees import (
-    SIGMA_M,
-    canopy_cell_m,
-    find_crowns,
-    measure_density,
-)
+from roadsight.poles.sightings.trees import SIGMA_M, canopy_cell_m, find_crowns, measure_density
 
 
 def tree(rng, x, y, height=10.0, per_m2=50.0):

@@ -150,8 +150,7 @@ def test_the_one_that_disagrees_is_left_out():
 
 @settings(max_examples=50, deadline=None)
 @given(
-    st.lists(st.tuples(st.floats(1, 100), st.floats(0.1, 20)), min_size=1, max_size=3),
-    st.randoms(),
+    st.lists(st.tuples(st.floats(1, 100), st.floats(0.1, 20)), min_size=1, max_size=3), st.randoms()
 )
 def test_fusing_does_not_depend_on_the_order(pairs, random):
     depths, sigmas = zip(*pairs, strict=True)

@@ -32,12 +32,7 @@ from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.sightings.metric_depth import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.triangulate.site import SHARED_COLUMNS
 from roadsight.stages.evidence import compare_components
-from roadsight.stages.poles import (
-    measure_poles,
-    rate_hazard,
-    triangulate_poles,
-    validate_poles,
-)
+from roadsight.stages.poles import measure_poles, rate_hazard, triangulate_poles, validate_poles
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
 FEET_CRS = "NAD83(2011) / North Carolina (ftUS) (EPSG:6543)"

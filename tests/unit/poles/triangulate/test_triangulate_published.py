@@ -63,8 +63,7 @@ def test_sweep_visits_each_link_once_and_in_order(energy):
 
 
 @pytest.mark.parametrize(
-    ("weights", "price"),
-    [((0.2, 0.2), 0.6), ((0.02, 0.2), 0.78), ((0.02, 0.02), 0.96)],
+    ("weights", "price"), [((0.2, 0.2), 0.6), ((0.02, 0.2), 0.78), ((0.02, 0.02), 0.96)]
 )
 def test_a_ray_alone_costs_what_the_weights_leave(weights, price):
     assert Energy(*weights).lonely == pytest.approx(price)

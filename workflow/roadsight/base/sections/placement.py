@@ -45,10 +45,7 @@ class Coverage(Section):
     rounds: int = Field(default=1, ge=0, le=5, description="rounds of denser candidates near gaps")
     radius_m: Metres = Field(default=30.0, description="new candidates stand this near a gap, m")
     closest_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=1000,
-        description="spacings are not halved below this, m; 0: no limit",
+        default=0.0, ge=0, le=1000, description="spacings are not halved below this, m; 0: no limit"
     )
     felled: int = Field(
         default=1, ge=0, le=20, description="objects tried without, those that hide most; 0: none"
@@ -142,12 +139,10 @@ class Poses(Section):
         description="non-repetitive solid-state LiDARs",
     )
     camera: PoseGrid = Field(
-        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-45.0, -25.0, -10.0]),
-        description="cameras",
+        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-45.0, -25.0, -10.0]), description="cameras"
     )
     radar: PoseGrid = Field(
-        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-20.0, -10.0, -5.0]),
-        description="radars",
+        default=_grid([-70.0, -35.0, 0.0, 35.0, 70.0], [-20.0, -10.0, -5.0]), description="radars"
     )
     panorama_step_deg: float = Field(
         default=0.2, ge=0.02, le=2, description="beams of the depth map that judges poses, degrees"

@@ -77,8 +77,7 @@ class AlignmentMethod(Section):
     """How cameras are aligned."""
 
     method: Literal["auto", "road", "dense", "published", "none"] = Field(
-        default="auto",
-        description="auto: dense with poles.intrinsics, else road",
+        default="auto", description="auto: dense with poles.intrinsics, else road"
     )
     landmarks: Literal["use", "skip"] = Field(
         default="use", description="whether poles in the cloud help to place the cameras"

@@ -42,8 +42,7 @@ class GroundFilter(Section):
         description="pillars: as published, by their width and the height threshold alone",
     )
     pillar_width_m: Metres = Field(
-        default=0.2,
-        description="width of a pillar, m; robust: doubled where points are sparse",
+        default=0.2, description="width of a pillar, m; robust: doubled where points are sparse"
     )
     height_threshold_m: Metres = Field(
         default=0.1,
@@ -75,8 +74,7 @@ class PavementMethod(Section):
     """How the pavement is found."""
 
     method: Literal["auto", "surface", "published"] = Field(
-        default="auto",
-        description="published: FPFH, k-means; auto: surface with scans or seeds",
+        default="auto", description="published: FPFH, k-means; auto: surface with scans or seeds"
     )
     seeds: list[tuple[float, float]] = Field(
         default=[],

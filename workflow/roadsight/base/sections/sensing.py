@@ -34,8 +34,7 @@ class Targets(TargetGrid):
     """Pole-like targets on the pavement."""
 
     kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
-        default="cylinder",
-        description="what a target is; box: of your size",
+        default="cylinder", description="what a target is; box: of your size"
     )
     radius_m: Metres = Field(default=0.25, description="radius of a cylinder, m")
     height_m: Metres = Field(default=0.6, description="height of a cylinder or box, m")
@@ -136,8 +135,7 @@ class SurfelMaking(Section):
         default=0.1, description="finest voxel of a surfel, m; larger where points are sparse"
     )
     vegetation: Literal["keep", "leave_out"] = Field(
-        default="keep",
-        description="leave_out: no surfels of plants (classes 3 to 5), as in winter",
+        default="keep", description="leave_out: no surfels of plants (classes 3 to 5), as in winter"
     )
 
 

@@ -102,10 +102,7 @@ AREAS: dict[str, Area] = {
     "pavement": Area(
         title="Pavement of a street",
         peer="all ground is road",
-        datasets={
-            **{f"street_{name}": _street(name, *_CLOUD) for name in STREETS},
-            **_SURVEYS,
-        },
+        datasets={**{f"street_{name}": _street(name, *_CLOUD) for name in STREETS}, **_SURVEYS},
         metrics={
             # The study's own two sites: 90.4 and 96.3 %.
             "f1": Metric("%", published=90.4, goal=">85", each=">75"),

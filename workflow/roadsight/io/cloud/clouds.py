@@ -223,9 +223,7 @@ def _open(
     check_structure(Path(path))
     try:
         with laspy.open(
-            os.fspath(path),
-            laz_backend=laspy.LazBackend.Lazrs,
-            decompression_selection=layers,
+            os.fspath(path), laz_backend=laspy.LazBackend.Lazrs, decompression_selection=layers
         ) as reader:
             reader.header.point_count = counted(Path(path))[0]
             check_layers(Path(path), reader.header)

@@ -10,12 +10,7 @@ from pathlib import Path
 from roadsight.base.doubts import tell_named
 from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import posed_images
-from roadsight.io.images.videologs import (
-    ImageSource,
-    every_nth,
-    read_videolog_table,
-    recorded_path,
-)
+from roadsight.io.images.videologs import ImageSource, every_nth, read_videolog_table, recorded_path
 
 log = logging.getLogger(__name__)
 

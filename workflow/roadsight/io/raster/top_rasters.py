@@ -158,9 +158,7 @@ class TopRaster:
 
 
 def read_top(
-    path: str | os.PathLike[str],
-    frame: Frame,
-    layers: Collection[str] = ("height_m", "road_share"),
+    path: str | os.PathLike[str], frame: Frame, layers: Collection[str] = ("height_m", "road_share")
 ) -> TopRaster:
     """Read what `TopRasterWriter` wrote, heights in local metres.
 

@@ -288,9 +288,7 @@ def stepped(range_m: NDArray[np.floating]) -> NDArray[np.uint16]:
     return np.where(range_m > 0, steps, 0).astype(np.uint16)
 
 
-def stack_pairs(
-    pairs: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]],
-) -> DepthPairs:
+def stack_pairs(pairs: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]]]) -> DepthPairs:
     """Pairs of maps in metres, one after the other."""
     return DepthPairs(*(np.stack([stepped(pair[part]) for pair in pairs]) for part in (0, 1)))
 

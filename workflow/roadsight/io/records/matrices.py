@@ -75,9 +75,7 @@ def read_vector(path: str | os.PathLike[str], dimensions: int = 1) -> NDArray[np
     return values
 
 
-def read_set_list(
-    path: str | os.PathLike[str],
-) -> tuple[sparse.csr_matrix, Floats]:
+def read_set_list(path: str | os.PathLike[str]) -> tuple[sparse.csr_matrix, Floats]:
     """Matrix (sets, elements) and costs of a text file with one line for each set.
 
     First line: numbers of elements and sets. Then per set: its cost, its elements (from 0).

@@ -41,12 +41,7 @@ _LARGEST_STEP = 0.05
 
 
 def unet_depth(
-    xyz_m: NDArray[np.floating],
-    sensor: Sensor,
-    position_m: ArrayLike,
-    yaw_deg: float,
-    *,
-    run: Run,
+    xyz_m: NDArray[np.floating], sensor: Sensor, position_m: ArrayLike, yaw_deg: float, *, run: Run
 ) -> Floats32:
     """Range of every beam as the network tells it, 0 for none; shape (rows, columns).
 
@@ -63,12 +58,7 @@ def unet_depth(
 
 
 def unet_mask_depth(
-    xyz_m: NDArray[np.floating],
-    sensor: Sensor,
-    position_m: ArrayLike,
-    yaw_deg: float,
-    *,
-    run: Run,
+    xyz_m: NDArray[np.floating], sensor: Sensor, position_m: ArrayLike, yaw_deg: float, *, run: Run
 ) -> Floats32:
     """As `unet_depth`, but ranges are interpolated where the network sees a return."""
     fine = fine_sensor(sensor)
@@ -296,10 +286,7 @@ Network = Callable[[Floats32], Floats32]
 
 
 def model_of_points(
-    name: str,
-    network: Network | None = None,
-    *,
-    filling: CellFilling = _USUAL,
+    name: str, network: Network | None = None, *, filling: CellFilling = _USUAL
 ) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 

@@ -194,11 +194,7 @@ def _near_share(points: Floats, tree: cKDTree, pose: tuple[Floats, Floats]) -> f
 
 
 def _stepped(
-    points: Floats,
-    tree: cKDTree,
-    planned: Planned,
-    pose: tuple[Floats, Floats],
-    near_m: float,
+    points: Floats, tree: cKDTree, planned: Planned, pose: tuple[Floats, Floats], near_m: float
 ) -> tuple[tuple[Floats, Floats], bool]:
     """Pose after one step, and whether it moved."""
     placed = points @ pose[0].T + pose[1]

@@ -167,11 +167,7 @@ def _losses(posed: Posed, chosen: Ints) -> Floats:
 
 
 def _targets_record(
-    asked: Asked,
-    posed: Posed,
-    deployment: Deployment,
-    cover: Cover,
-    name: Any,
+    asked: Asked, posed: Posed, deployment: Deployment, cover: Cover, name: Any
 ) -> dict[str, Any]:
     """Weight seen, folds that lack, and what a failure leaves."""
     needed = posed.targets["asked"].to_numpy(np.int64)

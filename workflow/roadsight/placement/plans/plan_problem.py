@@ -195,11 +195,7 @@ def _failure_folds(
 
 
 def _deployment(
-    asked: Asked,
-    problem: CoverProblem,
-    weight: Floats,
-    keep: float,
-    cliques: tuple[Ints, ...],
+    asked: Asked, problem: CoverProblem, weight: Floats, keep: float, cliques: tuple[Ints, ...]
 ) -> Deployment:
     budget, price = asked.options.get("budget"), asked.options.get("price")
     common: dict[str, Any] = {"weights": weight, "cliques": cliques, "keep": keep}

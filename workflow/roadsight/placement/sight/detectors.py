@@ -54,12 +54,7 @@ class Detector(Protocol):
         """What is measured, for people."""
 
     def measure(
-        self,
-        panorama: Panorama,
-        rotation: Floats,
-        feet_m: Floats,
-        shape: Shape,
-        sight: Sight,
+        self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
         """How well each target (n,) is seen, 0 for not at all.
 
@@ -97,12 +92,7 @@ class BandedDetector(ABC):
     raster: Raster
 
     def measure(
-        self,
-        panorama: Panorama,
-        rotation: Floats,
-        feet_m: Floats,
-        shape: Shape,
-        sight: Sight,
+        self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
         """How well each target (n,) is seen, as `Detector.measure`."""
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
@@ -178,12 +168,7 @@ class RadarDetector:
     unit: str = "echo over the least"
 
     def measure(
-        self,
-        panorama: Panorama,
-        rotation: Floats,
-        feet_m: Floats,
-        shape: Shape,
-        sight: Sight,
+        self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
         """Power of the echo over the weakest that is found."""
         feet_m = seen_lower(feet_m, panorama, sight)

@@ -16,11 +16,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.errors import InputError
-from roadsight.placement.sensors.rays import (
-    NOT_CAST_M,
-    sensor_from_local,
-    spherical_from_sensor,
-)
+from roadsight.placement.sensors.rays import NOT_CAST_M, sensor_from_local, spherical_from_sensor
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import target_ranges
 
@@ -329,9 +325,7 @@ def obstacles_of_target(
 
 
 def cell_lines(
-    pairs: pd.DataFrame,
-    xyz_m: NDArray[np.floating],
-    found: Sequence[tuple[Ints, float]],
+    pairs: pd.DataFrame, xyz_m: NDArray[np.floating], found: Sequence[tuple[Ints, float]]
 ) -> pd.DataFrame:
     """Obstacles of sensor-target pairs by cubic metre, in the form of `blocked_sight_lines`.
 

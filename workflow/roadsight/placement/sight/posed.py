@@ -203,12 +203,7 @@ def _window(
     farthest = from_axis + half
     extent = np.degrees(half * farthest / np.sin(farthest))
     share = np.degrees(from_axis) / beside if beside > 0 else 0.0
-    return (
-        share * left - extent,
-        share * left + extent,
-        share * up - extent,
-        share * up + extent,
-    )
+    return (share * left - extent, share * left + extent, share * up - extent, share * up + extent)
 
 
 @compiled_part()

@@ -37,10 +37,7 @@ def ball_around(shape: Packed) -> tuple[float, float]:
 
 @compiled_part()
 def entry_range_m(
-    direction: tuple[float, float, float],
-    foot: Floats,
-    radius_m: float,
-    height_m: float,
+    direction: tuple[float, float, float], foot: Floats, radius_m: float, height_m: float
 ) -> float:
     """Range at which a beam from the origin enters an upright, capped cylinder; 0 if it does not.
 

@@ -65,11 +65,7 @@ def _less(a: _Vector, times: float, b: _Vector) -> _Vector:
 
 @compiled_part(error_model="numpy")
 def _cross(a: _Vector, b: _Vector) -> _Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @compiled_part(error_model="numpy")

@@ -302,10 +302,7 @@ def own_variance(sigma_px: Floats, sigma_m: Floats, rows: Floats) -> Floats:
 
 
 def match_landmarks(
-    columns: Ints,
-    landmarks: Landmarks,
-    scene: tuple[Floats, Floats],
-    unknowns: Floats,
+    columns: Ints, landmarks: Landmarks, scene: tuple[Floats, Floats], unknowns: Floats
 ) -> MatchedLandmarks:
     """Pairs of a hypothesis with their sigmas at a pose."""
     axis = np.flatnonzero(columns >= 0)

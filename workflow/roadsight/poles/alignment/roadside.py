@@ -103,12 +103,7 @@ def _on_line(tree: cKDTree, xyz: Floats, centre: Floats, radius_m: float) -> tup
 
 
 def _heights(
-    tree: cKDTree,
-    xyz: Floats,
-    centre_xy: Floats,
-    direction: Floats,
-    z_m: Floats,
-    radius_m: float,
+    tree: cKDTree, xyz: Floats, centre_xy: Floats, direction: Floats, z_m: Floats, radius_m: float
 ) -> tuple[Floats, Floats]:
     """Height and slope at places of parabolas along the edge, (n,) each."""
     offset, used = _neighbours(tree, xyz, centre_xy, 64, radius_m)

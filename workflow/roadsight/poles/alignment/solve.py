@@ -221,16 +221,7 @@ class Task:
         few = self.coarse
         share = len(self.image_edges.uv_px) / max(len(few.uv_px), 1)
         start, edges, sides = self.coarse_scene
-        data = costs(
-            trials,
-            start,
-            edges,
-            sides,
-            few.uv_px,
-            few.groups,
-            self.noise.table(),
-            scale,
-        )
+        data = costs(trials, start, edges, sides, few.uv_px, few.groups, self.noise.table(), scale)
         apart = trials - self.prior_mean
         return share * data + 0.5 * np.einsum("ti,ij,tj->t", apart, self.prior_information, apart)
 

@@ -114,10 +114,7 @@ class Member:
 
 
 def told_by_others(
-    members: Sequence[Member],
-    mean: tuple[Floats, Floats],
-    spread: Spread,
-    model: DriftModel,
+    members: Sequence[Member], mean: tuple[Floats, Floats], spread: Spread, model: DriftModel
 ) -> dict[str, tuple[Floats, Floats]]:
     """Pose (6,) of each image as all other images of the drive tell it, and its covariance (6, k).
 

@@ -98,10 +98,7 @@ def edge_doubt(task: Task, fit: Fit, limits: Limits) -> str:
     with np.errstate(invalid="ignore"):
         inliers = (fit.residuals[known, 1] < FINEST).mean() if known.any() else 0.0
     doubts = (
-        (
-            not np.isfinite(fit.residuals[:, 0]).all(),
-            "the road edges are behind the camera",
-        ),
+        (not np.isfinite(fit.residuals[:, 0]).all(), "the road edges are behind the camera"),
         (known.sum() < limits.fewest_pixels, "too few of the image's edges are in the cloud"),
         (inliers < share, OTHER_THINGS[0]),
         (

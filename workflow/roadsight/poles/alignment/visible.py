@@ -130,12 +130,7 @@ def intensity_contrast(xyz_m: Floats, intensity: Floats, is_ground: Bools) -> Fl
 
 @compiled()
 def nearest_returns(
-    xyz_m: Floats,
-    rotation: Floats,
-    position_m: Floats,
-    lens: Floats,
-    rows: int,
-    columns: int,
+    xyz_m: Floats, rotation: Floats, position_m: Floats, lens: Floats, rows: int, columns: int
 ) -> tuple[Floats, Ints, Floats, Ints]:
     """Nearest return of each cell of `_CELL_PX`.
 
@@ -279,11 +274,7 @@ def brightness_edges(depth: Floats, brightness: Floats, axis: int) -> Bools:
 
 
 def visible_samples(
-    cloud: SceneCloud,
-    rotation: Floats,
-    position_m: Floats,
-    lens: Floats,
-    shape: tuple[int, int],
+    cloud: SceneCloud, rotation: Floats, position_m: Floats, lens: Floats, shape: tuple[int, int]
 ) -> tuple[Ints, Ints]:
     """Kinds (m,) and numbers of points (m,) of what a camera would see.
 

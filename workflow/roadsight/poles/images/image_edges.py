@@ -345,11 +345,7 @@ _KERB = int(PixelClass.KERB)
 
 
 def on_nearest_border(
-    points: Floats,
-    mask: Bytes,
-    road: Bytes,
-    dividing: Floats,
-    reach_px: float,
+    points: Floats, mask: Bytes, road: Bytes, dividing: Floats, reach_px: float
 ) -> Bools:
     """Whether border points lie on the first border of their row and side.
 

@@ -233,10 +233,7 @@ def _join(merged: pd.DataFrame, front: int, side: int) -> None:
 
 
 def stitched_picture(
-    images: dict[str, Bytes],
-    front: Intrinsics,
-    offsets: ViewOffsets,
-    width_px: int = 1600,
+    images: dict[str, Bytes], front: Intrinsics, offsets: ViewOffsets, width_px: int = 1600
 ) -> Bytes:
     """Views of one place on one cylinder about the camera, for people to look at.
 

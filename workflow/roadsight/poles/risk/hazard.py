@@ -182,10 +182,7 @@ def rate_poles(
 
 
 def rate_roadside(
-    poles: pd.DataFrame,
-    edges_m: Floats,
-    surroundings: Surroundings,
-    settings: Hazard,
+    poles: pd.DataFrame, edges_m: Floats, surroundings: Surroundings, settings: Hazard
 ) -> Rated:
     """Hazard of each object, with the cross-sections behind it; see `rate_poles`."""
     xy_m = poles[["x", "y"]].to_numpy(np.float64)

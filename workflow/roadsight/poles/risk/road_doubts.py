@@ -21,10 +21,7 @@ _Stretch = tuple[str, float, float]
 
 _QUANTITIES = (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes"))
 """Column, and its name in words."""
-_SETTINGS = {
-    "speed": "design speed (hazard.design_speed_kmh)",
-    "traffic": "traffic (hazard.aadt)",
-}
+_SETTINGS = {"speed": "design speed (hazard.design_speed_kmh)", "traffic": "traffic (hazard.aadt)"}
 """What a site may state of all roads."""
 _WHOLE = {
     "speed": f"{SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h",

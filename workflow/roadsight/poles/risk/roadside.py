@@ -71,12 +71,7 @@ LANE_TITLES = {
     "travelled_from": "travelled_from",
 }
 """Columns of `with_inventory`, and their names in the table of road geometry."""
-TRAFFIC_COLUMNS = (
-    "speed_least_kmh",
-    "speed_greatest_kmh",
-    "aadt_least",
-    "aadt_greatest",
-)
+TRAFFIC_COLUMNS = ("speed_least_kmh", "speed_greatest_kmh", "aadt_least", "aadt_greatest")
 """Of the table of road geometry, what inventory or site state."""
 
 

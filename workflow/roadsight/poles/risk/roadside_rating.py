@@ -80,9 +80,7 @@ def hazard_rating(
         [np.isnan(slope), steep < _ABOUT_4, steep <= 0.2501, steep <= _ABOUT_3], [0, 1, 2, 3], 6
     )
     by_clear = np.select(
-        [np.isnan(clear), clear >= 9.0, clear >= 6.0, clear >= 3.0, clear > 1.5],
-        [0, 1, 2, 3, 4],
-        6,
+        [np.isnan(clear), clear >= 9.0, clear >= 6.0, clear >= 3.0, clear > 1.5], [0, 1, 2, 3, 4], 6
     )
     rating = np.maximum(by_slope, by_clear)
     # "Sideslope about 1:3", obstacles within 2 to 3 m: virtually non-recoverable.

@@ -42,10 +42,7 @@ class ScenarioSettings:
 
 
 def classify_places(
-    xy_m: Floats,
-    tracks: RouteTracks,
-    branches: Branches | None,
-    settings: ScenarioSettings,
+    xy_m: Floats, tracks: RouteTracks, branches: Branches | None, settings: ScenarioSettings
 ) -> pd.DataFrame:
     """Scenario of each place.
 

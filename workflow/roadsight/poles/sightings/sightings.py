@@ -208,12 +208,7 @@ def _own_distances(
     reach_px = max(_SIGMA_FOOT_PX * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
     ground = np.array(
         ground_distances(
-            camera,
-            found,
-            evidence.height_at,
-            reach_px,
-            _SIGMA_GROUND_M,
-            2.0 * settings.farthest_m,
+            camera, found, evidence.height_at, reach_px, _SIGMA_GROUND_M, 2.0 * settings.farthest_m
         )
     )
     ground[:, hidden] = np.nan

@@ -82,10 +82,7 @@ class _Discs:
 
 
 def find_stems(
-    xyz_m: Floats,
-    above_ground_m: Floats,
-    cls: NDArray,
-    excluded_classes: Sequence[int] = NO_COLUMN,
+    xyz_m: Floats, above_ground_m: Floats, cls: NDArray, excluded_classes: Sequence[int] = NO_COLUMN
 ) -> PoleColumns:
     """Stems of at least four slices of 0.3 m, by place; their tops are as far as they were seen.
 

@@ -357,11 +357,7 @@ _SIGMAS = (1e-3, 1.0)
 
 
 def likelihood(
-    rays: Rays,
-    near: Neighbours,
-    poles: list[Pole],
-    noise: Noise,
-    settings: TriangulationSettings,
+    rays: Rays, near: Neighbours, poles: list[Pole], noise: Noise, settings: TriangulationSettings
 ) -> Likelihood:
     """Densities of views and strays, from poles as they are known so far; none at first.
 

@@ -87,9 +87,7 @@ def crown_doubts(poles: pd.DataFrame) -> list[Doubt]:
 
 
 def pole_doubts(
-    sightings: pd.DataFrame,
-    network: Sequence[NetworkScale],
-    settings: TriangulationSettings,
+    sightings: pd.DataFrame, network: Sequence[NetworkScale], settings: TriangulationSettings
 ) -> list[Doubt]:
     """Doubts about the poles of a site.
 

@@ -527,6 +527,5 @@ def _withheld(poles: pd.DataFrame, against: Bools, reason: str) -> pd.DataFrame:
     """Poles with the panels withheld that something speaks against."""
     other = _panels(poles) & against & poles["kept"].to_numpy(bool)
     return poles.assign(
-        kept=poles["kept"] & ~other,
-        reason=np.where(other, reason, poles["reason"]).astype(object),
+        kept=poles["kept"] & ~other, reason=np.where(other, reason, poles["reason"]).astype(object)
     )

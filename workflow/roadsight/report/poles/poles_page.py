@@ -54,11 +54,7 @@ ReadEdges = Callable[[str], pd.DataFrame]
 
 
 def depth_fit(
-    image: str,
-    camera: ViewCamera,
-    mask: Bytes,
-    depth: NDArray[np.uint16],
-    height_at: HeightAt,
+    image: str, camera: ViewCamera, mask: Bytes, depth: NDArray[np.uint16], height_at: HeightAt
 ) -> dict[str, Any] | None:
     """Relative depth of the road against its LiDAR distance, with the fitted curve.
 

@@ -16,12 +16,7 @@ from roadsight.report.poles.hazard_charts import SAME_M, profile_chart, zone_tex
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
 from roadsight.report.wording import counted, number
 
-_NAMES = {
-    "GeoPackage": ".gpkg",
-    "GeoJSON": ".geojson",
-    "CSV": ".csv",
-    "Parquet": ".parquet",
-}
+_NAMES = {"GeoPackage": ".gpkg", "GeoJSON": ".geojson", "CSV": ".csv", "Parquet": ".parquet"}
 
 _COORDINATES = {
     ".gpkg": "coordinate system of the LiDAR",
@@ -69,18 +64,11 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
         "pictures": _pictures(page),
         "hidden": page.get("hidden", False),
         "routes": [
-            {
-                "name": route["route"],
-                "images": len(route["state"]),
-                "charts": route_charts(route),
-            }
+            {"name": route["route"], "images": len(route["state"]), "charts": route_charts(route)}
             for route in page["routes"]
         ],
         "depth_fit": page["depth_fit"]
-        and {
-            "svg": depth_fit_chart(page["depth_fit"]),
-            **page["depth_fit"],
-        },
+        and {"svg": depth_fit_chart(page["depth_fit"]), **page["depth_fit"]},
         "depth_checks": [
             depth_check_chart(source, page["depth_checks"][source])
             for source in SOURCES

@@ -222,10 +222,7 @@ def _plan(
         ),
         "obstacles": obstacles_of(plan.obstacles.iloc[:_MOST_OBSTACLES]),
         "all_obstacles": len(plan.obstacles),
-        "returns": {
-            **pack_points(plan.returns_xyz_m),
-            "sensor": pack(plan.returns_sensor, "u2"),
-        },
+        "returns": {**pack_points(plan.returns_xyz_m), "sensor": pack(plan.returns_sensor, "u2")},
     }
 
 
@@ -274,10 +271,7 @@ def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> lis
 
 
 def _cautions(
-    summary: dict[str, Any],
-    scene: Scene,
-    placement: Placement | None,
-    plans: list[dict[str, Any]],
+    summary: dict[str, Any], scene: Scene, placement: Placement | None, plans: list[dict[str, Any]]
 ) -> list[Caution]:
     """Warnings first, then notes."""
     targets = positions = None

@@ -90,11 +90,7 @@ def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
 
 
 @compiled()
-def _weighted(
-    simplified: Floats,
-    neighbours: Ints,
-    distance: Floats,
-) -> Floats32:
+def _weighted(simplified: Floats, neighbours: Ints, distance: Floats) -> Floats32:
     """Own histogram plus the neighbours' weighted mean, each third of which sums to 100."""
     out = np.zeros(simplified.shape, dtype=np.float32)
     mixed = np.zeros(FEATURES)
@@ -116,12 +112,7 @@ def _weighted(
     return out
 
 
-def fpfh(
-    xyz_m: Floats,
-    normals: Floats,
-    distance_m: Floats,
-    neighbours: Ints,
-) -> Floats32:
+def fpfh(xyz_m: Floats, normals: Floats, distance_m: Floats, neighbours: Ints) -> Floats32:
     """FPFH of each point.
 
     Parameters
@@ -467,10 +458,7 @@ def _tone_range(tones: Floats, weight: float) -> tuple[float, float]:
 
 
 def is_smooth(
-    model: SmoothnessModel,
-    histograms: Floats32,
-    variation: Floats,
-    intensity: Floats,
+    model: SmoothnessModel, histograms: Floats32, variation: Floats, intensity: Floats
 ) -> Bools:
     """Smooth points (n,); a point without a normal is never smooth."""
     space = _normalise(model, histograms.astype(np.float64), intensity)

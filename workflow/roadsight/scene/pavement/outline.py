@@ -225,12 +225,7 @@ def _roots(parent: Ints) -> Ints:
 
 @compiled()
 def _link(
-    xyz: Floats,
-    first: Ints,
-    keys: Ints,
-    stride: Ints,
-    distance: float,
-    parent: Ints,
+    xyz: Floats, first: Ints, keys: Ints, stride: Ints, distance: float, parent: Ints
 ) -> None:
     """Union all pairs within ``distance``; cells are as wide as it, so 27 cells hold them all."""
     for c in range(len(keys)):

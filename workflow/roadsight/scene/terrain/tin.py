@@ -279,11 +279,7 @@ def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> 
 
 
 def hidden_road_share(
-    height: Height,
-    eyes_m: ArrayLike,
-    heading_deg: ArrayLike,
-    edges_m: ArrayLike,
-    reach_m: float,
+    height: Height, eyes_m: ArrayLike, heading_deg: ArrayLike, edges_m: ArrayLike, reach_m: float
 ) -> float:
     """Share of the road edge points ahead of cameras that the ground hides.
 

@@ -277,13 +277,7 @@ def _moves(odd: Bools, odd_low: Bools, x: Floats) -> tuple[Ints, Ints, Ints]:
 
 @compiled()
 def _descend_parity_cuts(
-    odd: Bools,
-    x: Floats,
-    pairs: Ints,
-    first: Ints,
-    index: Ints,
-    starts: Ints,
-    level: bool,
+    odd: Bools, x: Floats, pairs: Ints, first: Ints, index: Ints, starts: Ints, level: bool
 ) -> tuple[Bools, Floats, int]:
     """From each single constraint down to where no move lessens the shares of odd choices.
 

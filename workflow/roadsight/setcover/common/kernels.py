@@ -256,12 +256,7 @@ def coverage(start: Ints32, index: Ints32, x: Floats, targets: int) -> Floats:
 
 
 @compiled()
-def reduced_costs(
-    start: Ints32,
-    index: Ints32,
-    cost: Floats,
-    dual: Floats,
-) -> Floats:
+def reduced_costs(start: Ints32, index: Ints32, cost: Floats, dual: Floats) -> Floats:
     """Costs of the choices less the duals of the targets that they cover."""
     reduced = cost.copy()
     for i in range(len(cost)):

@@ -167,9 +167,7 @@ def split_components(instance: Instance) -> list[Instance]:
     ]
 
 
-def arrays(
-    instance: Instance,
-) -> tuple[Ints32, Ints32, Ints32, Ints32]:
+def arrays(instance: Instance) -> tuple[Ints32, Ints32, Ints32, Ints32]:
     """Starts and indices by choice, then by target, as the kernels take them."""
     choices, targets = instance.by_choice, instance.by_target
     return choices.indptr, choices.indices, targets.indptr, targets.indices

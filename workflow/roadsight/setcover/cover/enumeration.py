@@ -103,11 +103,7 @@ def _is_small(instance: Instance, choices: int, depths: int) -> bool:
 
 
 def _prices(
-    instance: Instance,
-    solution: Solution,
-    choices: Ints,
-    fixed: Ints,
-    slack: float,
+    instance: Instance, solution: Solution, choices: Ints, fixed: Ints, slack: float
 ) -> tuple[Prices, float]:
     """What choices use of the slack, and what fixed ones leave of it.
 
@@ -143,12 +139,7 @@ def _prices(
     return prices, slack
 
 
-def _targets(
-    instance: Instance,
-    solution: Solution,
-    choices: Ints,
-    fixed: Ints,
-) -> Targets:
+def _targets(instance: Instance, solution: Solution, choices: Ints, fixed: Ints) -> Targets:
     """What choices cover of the targets that are open, those that the shares cover least first."""
     need = instance.need - np.asarray(instance.by_choice[fixed].sum(axis=0, dtype=np.int32)).ravel()
     spare = instance.by_choice.T @ solution.x - instance.need

@@ -62,11 +62,7 @@ class LocalSearch:
     """
 
     def __init__(
-        self,
-        instance: Instance,
-        best: Bools | None,
-        first: Bools,
-        rng: np.random.Generator,
+        self, instance: Instance, best: Bools | None, first: Bools, rng: np.random.Generator
     ) -> None:
         self.instance, self.best, self._rng = instance, best, rng
         self.active = first.copy()

@@ -46,10 +46,7 @@ and hard ones share what is left."""
 
 
 def solve_cover_problem(
-    problem: CoverProblem,
-    limit: Deadline | float | None = None,
-    seed: int = SEED,
-    gap: float = 0.0,
+    problem: CoverProblem, limit: Deadline | float | None = None, seed: int = SEED, gap: float = 0.0
 ) -> Cover:
     """Cheapest cover, proven, or the best one found within the limit.
 
@@ -159,11 +156,7 @@ def _better(first: _Solved, second: _Solved) -> _Solved:
 
 
 def _solve_part(
-    instance: Instance,
-    best: Bools | None,
-    rng: np.random.Generator,
-    deadline: Deadline,
-    gap: float,
+    instance: Instance, best: Bools | None, rng: np.random.Generator, deadline: Deadline, gap: float
 ) -> tuple[Outcome, float | None]:
     """Outcome of one instance from a cover, if any, and the bound of its relaxation, in steps."""
     bound = instance.round_up(_simple_bound(instance))
@@ -208,11 +201,7 @@ def _cut_and_branch(
 
 
 def _solve_large(
-    instance: Instance,
-    best: Bools,
-    rng: np.random.Generator,
-    deadline: Deadline,
-    gap: float,
+    instance: Instance, best: Bools, rng: np.random.Generator, deadline: Deadline, gap: float
 ) -> tuple[Outcome, float]:
     """Outcome of a large instance from a cover: at most a third of the time goes to a bound."""
     inner = interior_bound(instance, rng, deadline.part(3))

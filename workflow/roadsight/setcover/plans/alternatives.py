@@ -94,11 +94,7 @@ def most_different(
 
 
 def _by_cover(
-    deployment: Deployment,
-    chosen: Ints,
-    shared: Bools,
-    limit: Deadline | float | None,
-    seed: int,
+    deployment: Deployment, chosen: Ints, shared: Bools, limit: Deadline | float | None, seed: int
 ) -> tuple[Ints, float]:
     """As a cover whose costs count the overlap last."""
     problem, cost = deployment.problem, np.asarray(deployment.cost)
@@ -111,11 +107,7 @@ def _by_cover(
 
 
 def _by_deployment(
-    deployment: Deployment,
-    chosen: Ints,
-    shared: Bools,
-    limit: Deadline | float | None,
-    seed: int,
+    deployment: Deployment, chosen: Ints, shared: Bools, limit: Deadline | float | None, seed: int
 ) -> tuple[Ints, float]:
     """As a deployment that minimises the overlap within the cost and coverage that there are."""
     cost = np.asarray(deployment.cost)

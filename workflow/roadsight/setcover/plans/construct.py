@@ -25,8 +25,7 @@ _PULL = 1.3
 """Factor by which an unseen target draws more in the next trial, as long as there is no answer."""
 
 _Rules = namedtuple(
-    "_Rules",
-    "start index tstart tindex weight need divisor charge set_start sets allowed liking",
+    "_Rules", "start index tstart tindex weight need divisor charge set_start sets allowed liking"
 )
 """Matrix by choice and by target, what targets weigh and need, what choices cost (``divisor``: as
 gains are divided by it), their sets and how much each is liked."""
@@ -106,13 +105,7 @@ class Builder:
             spent += charge[choice]
         return inside
 
-    def _fill(
-        self,
-        inside: Bools,
-        weight: Floats,
-        need: Ints,
-        liking: Floats,
-    ) -> None:
+    def _fill(self, inside: Bools, weight: Floats, need: Ints, liking: Floats) -> None:
         deployment, by_choice, by_target = self.deployment, self.cuts.by_choice, self.cuts.by_target
         # A target that must be seen draws whatever its weight.
         each = np.ones(len(need)) if deployment.complete else weight

@@ -291,10 +291,7 @@ class _Rows:
         return len(self._columns) - 1
 
     def rows(
-        self,
-        parts: list[tuple[int, sparse.csr_matrix]],
-        low: Floats | float,
-        high: Floats | float,
+        self, parts: list[tuple[int, sparse.csr_matrix]], low: Floats | float, high: Floats | float
     ) -> None:
         """Add constraints: matrices of the blocks of variables that are in them."""
         count = parts[0][1].shape[0]

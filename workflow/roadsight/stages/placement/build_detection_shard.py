@@ -98,10 +98,7 @@ def build_detection_shard(given: ShardFiles, *, out: Path) -> None:
 
 
 def _keys(
-    given: ShardFiles,
-    maps: DepthMaps,
-    poses: dict[str, Floats],
-    tilts: dict[str, Floats],
+    given: ShardFiles, maps: DepthMaps, poses: dict[str, Floats], tilts: dict[str, Floats]
 ) -> dict[str, str]:
     """Key of what each candidate's row rests on: map, pose and tilt; in the maps' order."""
     keys = {}

@@ -56,10 +56,7 @@ def check_coverage(
         name, _, sensors = entry.partition("=")
         covered = set().union(*(seen[sensor] for sensor in sensors.split(",")))
         gaps = targets[~targets.isin(covered)]
-        told[name] = {
-            "uncovered": list(gaps),
-            "covered_share": 1 - len(gaps) / len(targets),
-        }
+        told[name] = {"uncovered": list(gaps), "covered_share": 1 - len(gaps) / len(targets)}
         log.info("%s: %d of %d targets uncovered", name, len(gaps), len(targets))
     count = len(candidates) if allowed is None else len(allowed)
     content = {"targets": len(targets), "candidates": count, "plans": told}

@@ -89,11 +89,7 @@ def _criteria(given: PoseFiles) -> Criteria:
 
 
 def _often(
-    seen: Bools,
-    panorama: Panorama,
-    feet_m: Floats,
-    shape: Shape,
-    traffic: SiteTraffic | None,
+    seen: Bools, panorama: Panorama, feet_m: Floats, shape: Shape, traffic: SiteTraffic | None
 ) -> tuple[Bools, Floats]:
     """What the poses (m, n) see often enough past traffic, and how often (n,)."""
     shares = np.ones(len(feet_m))

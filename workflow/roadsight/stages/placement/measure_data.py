@@ -42,11 +42,7 @@ from roadsight.placement.sensors.sensors import AnySensor, load_sensor, load_sen
 from roadsight.placement.sight.detectors import BandedDetector, Criteria, detector_of
 from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.probability import (
-    Curve,
-    Curves,
-    found_by_plan,
-)
+from roadsight.placement.sight.probability import Curve, Curves, found_by_plan
 from roadsight.placement.sight.sight import beams_by_height
 from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.detection_inputs import (
@@ -146,11 +142,7 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
 
 
 def _margins(
-    given: PlanDataFiles,
-    chosen: pd.DataFrame,
-    seen: Bools,
-    feet_m: Floats,
-    height_m: float,
+    given: PlanDataFiles, chosen: pd.DataFrame, seen: Bools, feet_m: Floats, height_m: float
 ) -> tuple[dict[str, Any], Bools, Bools]:
     """What dark targets and a third less range would lose, from the plan's own detections."""
     sensors = load_sensors(given.sensors)

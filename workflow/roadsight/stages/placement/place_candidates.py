@@ -32,11 +32,7 @@ from roadsight.placement.candidates.candidates import (
     positions_along,
     stack_candidates,
 )
-from roadsight.placement.candidates.mounting import (
-    POLE,
-    outside_zones,
-    positions_on_poles,
-)
+from roadsight.placement.candidates.mounting import POLE, outside_zones, positions_on_poles
 from roadsight.stages.command import Command
 
 log = logging.getLogger("place_candidates")

@@ -18,12 +18,7 @@ from roadsight.base.sections.sensing import CellFilling, DepthModel, Lidar
 from roadsight.base.shards import Shard
 from roadsight.io.cloud.tiles import StandingCloud
 from roadsight.io.images.models import network_for
-from roadsight.io.records.depth_maps import (
-    DepthMapInfo,
-    DepthMaps,
-    DepthMapWriter,
-    range_step_m,
-)
+from roadsight.io.records.depth_maps import DepthMapInfo, DepthMaps, DepthMapWriter, range_step_m
 from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.placement_tables import read_poses, read_tilts
 from roadsight.io.records.surfaces import read_surfels

@@ -227,11 +227,7 @@ class _Again:
     """
 
     def __init__(
-        self,
-        given: CoverFiles,
-        frame: Frame,
-        wanted: pd.DataFrame,
-        looked_at: Bools | None,
+        self, given: CoverFiles, frame: Frame, wanted: pd.DataFrame, looked_at: Bools | None
     ) -> None:
         self.record: dict[str, Any] | None = None
         self.verified: dict[str, Any] | None = None
@@ -255,13 +251,7 @@ class _Again:
     def __call__(self, deployment: Deployment, cover: Cover) -> Cover:
         """Cover of the same cost."""
         better, self.record = see_again(
-            deployment,
-            cover,
-            self._limit_s,
-            self._stretch,
-            self._cell_m,
-            self._allowed,
-            self._gap,
+            deployment, cover, self._limit_s, self._stretch, self._cell_m, self._allowed, self._gap
         )
         if self._verify_s:
             self.verified = verify(deployment, better, WorkLimit(self._verify_s)).record()
@@ -270,10 +260,7 @@ class _Again:
 
 
 def _cheapest(
-    given: CoverFiles,
-    matrix: sparse.csr_matrix,
-    choices: pd.DataFrame,
-    better: Better,
+    given: CoverFiles, matrix: sparse.csr_matrix, choices: pd.DataFrame, better: Better
 ) -> Cover:
     """Cheapest cover, as a plan without options asks for."""
     problem = CoverProblem(
@@ -337,10 +324,7 @@ def _option_layers(
 
 
 def _check_uncovered(
-    given: CoverFiles,
-    targets: pd.DataFrame,
-    unseen: list[str],
-    asked: Asked | None,
+    given: CoverFiles, targets: pd.DataFrame, unseen: list[str], asked: Asked | None
 ) -> None:
     uncovered = len(unseen)
     if asked is not None and asked.soft and uncovered < len(targets):

@@ -109,9 +109,7 @@ def _open(
     spec = model.manifest
     if spec.task == "classes":
         raise InputError(
-            "must be relative_depth or metric_depth",
-            where=f"{source}: task",
-            found=spec.task,
+            "must be relative_depth or metric_depth", where=f"{source}: task", found=spec.task
         )
     images, metric = ImageSource(images_path), spec.task == "metric_depth"
 

@@ -31,14 +31,7 @@ _BEYOND_M = 4.0
 and tiles do not show in the result."""
 
 
-def find_columns(
-    cloud_path: Path,
-    frame: Path,
-    dem: Path,
-    settings: Columns,
-    *,
-    out: Path,
-) -> None:
+def find_columns(cloud_path: Path, frame: Path, dem: Path, settings: Columns, *, out: Path) -> None:
     """Write the columns of each tile, those of its margin left to its neighbours."""
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)

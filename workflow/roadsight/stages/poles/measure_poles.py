@@ -377,11 +377,7 @@ def _camera(
 
 
 def _finished(
-    sightings: pd.DataFrame,
-    frames: pd.DataFrame,
-    cameras: pd.DataFrame,
-    frame: Frame,
-    turned: bool,
+    sightings: pd.DataFrame, frames: pd.DataFrame, cameras: pd.DataFrame, frame: Frame, turned: bool
 ) -> pd.DataFrame:
     """Columns of the artifact, with the camera's place and bearings from true north.
 

@@ -55,12 +55,7 @@ log = logging.getLogger("rate_hazard")
 
 PLAN = ("x", "y")
 
-KINDS = {
-    "poles": "Point",
-    "ellipses": "Polygon",
-    "rays": "LineString",
-    "guardrails": "LineString",
-}
+KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString", "guardrails": "LineString"}
 """Geometry of layers of poles that are empty."""
 
 _NONE = ("clear_zone_m", "runout_length_m")

@@ -22,12 +22,7 @@ log = logging.getLogger("trace_image_edges")
 
 
 def trace_image_edges(
-    frames_path: Path,
-    masks_path: Path,
-    settings: EdgeTracing,
-    shard: Shard = WHOLE,
-    *,
-    out: Path,
+    frames_path: Path, masks_path: Path, settings: EdgeTracing, shard: Shard = WHOLE, *, out: Path
 ) -> None:
     """Write a row for each edge point, by image."""
     frames = usable(read_table(frames_path), shard)

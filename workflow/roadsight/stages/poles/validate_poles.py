@@ -101,13 +101,7 @@ def validate_poles(
     known = truth[near].reset_index(drop=True)
     matches = match_points(_xy(poles), _xy(known), match_m)
     errors = _errors(
-        edges,
-        voxels,
-        roadside,
-        frame,
-        frames,
-        poles.iloc[matches[:, 0]],
-        known.iloc[matches[:, 1]],
+        edges, voxels, roadside, frame, frames, poles.iloc[matches[:, 0]], known.iloc[matches[:, 1]]
     )
     warnings = cautions(len(known), int((~near).sum()))
     for warning in warnings:

@@ -164,11 +164,7 @@ def _found(
 
 
 def _surface(
-    way: Way,
-    cloud: CloudTiles,
-    frame: Frame,
-    about: dict[str, Any],
-    choice: Choice,
+    way: Way, cloud: CloudTiles, frame: Frame, about: dict[str, Any], choice: Choice
 ) -> _Found:
     """The road as one surface, with all that is known of it."""
     xyz_m, intensity, points = _whole(way, cloud)

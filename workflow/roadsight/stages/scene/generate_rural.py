@@ -19,11 +19,7 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.command import Command
 from roadsight_worlds.rendering.images import RuralRenderer
-from roadsight_worlds.rural.airborne_scanner import (
-    AirborneScanner,
-    Returns,
-    scan_rural,
-)
+from roadsight_worlds.rural.airborne_scanner import AirborneScanner, Returns, scan_rural
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.rural_truth import rural_layers
 from roadsight_worlds.rural.videolog import GpsNoise, drifting, random_drives, shots

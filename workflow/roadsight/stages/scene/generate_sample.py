@@ -46,12 +46,7 @@ def generate_sample(
 ) -> None:
     """Build the site, scan it and write the three files."""
     highway = build_highway(
-        seed,
-        length_m,
-        scene.radius_m,
-        scene.grade,
-        scene.tunnel,
-        scene.overhead,
+        seed, length_m, scene.radius_m, scene.grade, scene.tunnel, scene.overhead
     )
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(seed).spawn(2)

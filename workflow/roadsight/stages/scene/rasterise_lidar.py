@@ -100,11 +100,7 @@ def rasterise_lidar(
 
 
 def settled(
-    grid: VoxelGrid,
-    cloud: CloudTiles,
-    table: Bytes,
-    paved: PavedArea | None,
-    threads: int,
+    grid: VoxelGrid, cloud: CloudTiles, table: Bytes, paved: PavedArea | None, threads: int
 ) -> Iterator[Settled]:
     """Voxels of the cloud from south to north, each once, whatever the tiles are.
 

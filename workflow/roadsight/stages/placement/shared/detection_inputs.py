@@ -66,9 +66,7 @@ def sight_of(given: SightFiles, name: str, sensor: AnySensor) -> Sight:
     return Sight(float(range_in_air_m(clear_m, air)), wide, curved, near_m)
 
 
-def read_shaped_targets(
-    given: SightFiles,
-) -> tuple[pd.DataFrame, Floats, Shape]:
+def read_shaped_targets(given: SightFiles) -> tuple[pd.DataFrame, Floats, Shape]:
     """Targets, their feet and their shape; feet of boxes have headings, (n, 4).
 
     Raises
