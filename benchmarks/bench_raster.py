@@ -109,7 +109,7 @@ def _compare(folder: Path, points: int) -> list[dict[str, Any]]:
     write_corridor(laz, points)
     steps = (
         _stage("ingest_cloud", "--site", "bench", "--vertical-units", "metre", "--cloud", cloud,
-               "--frame", frame, laz),
+               "--frame", frame, "--clouds", laz),
         _stage("rasterise_lidar", "--cloud", cloud, "--frame", frame, "--voxels", voxels,
                "--top", top, "--threads", str(_THREADS)),
         _stage("extract_road_edges", "--top", top, "--frame", frame, "--edges", edges,

@@ -118,7 +118,7 @@ class PlacementJob(StageCalls):
         site = ("--site", "street")
         units = ("--crs", "local", "--units", street.units, "--vertical-units", street.units)
         self._stage("ingest_cloud", *site, *units, "--tile-size-m", str(self.tile_size_m),
-                    self.path("cloud.laz"), cloud="cloud", frame="frame")  # fmt: skip
+                    clouds="cloud.laz", cloud="cloud", frame="frame")  # fmt: skip
         both = {"cloud": "cloud", "frame": "frame"}
         self._stage("profile_scene", **both, out="profile")
         self._stage("build_dem", *site, **both, profile="profile", dem="dem.tif", ground="ground")

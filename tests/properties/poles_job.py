@@ -254,7 +254,7 @@ class PolesJob(StageCalls):
         unit = "metre" if lane.units == "m" else "us-survey-foot"
         crs = CRS.from_proj4(PROJECTION.format(lane.east_m, lane.units)).to_wkt()
         self._stage("ingest_cloud", *site, "--crs", crs, "--vertical-units", unit, "--units", unit,
-                    "--tile-size-m", str(self._tile_size_m), self.path("cloud.laz"),
+                    "--tile-size-m", str(self._tile_size_m), clouds="cloud.laz",
                     **both)  # fmt: skip
         self._stage("profile_scene", **both, out="profile")
         self._stage("build_dem", *site, **both, profile="profile", dem="dem.tif", ground="ground")

@@ -242,7 +242,9 @@ def ingest(folder, *clouds, crs="auto", options=()):
     for path in outputs.values():
         path.write_text("old")
     paths = [part for name, path in outputs.items() for part in (name, str(path))]
-    code = ingest_cloud.main(["--site", "s", "--crs", crs, *options, *paths, *map(str, clouds)])
+    code = ingest_cloud.main(
+        ["--site", "s", "--crs", crs, *options, *paths, "--clouds", *map(str, clouds)]
+    )
     if code:
         assert [path.read_text() for path in outputs.values()] == ["old", "old"]
         assert not list(folder.glob("*.tmp*")) + list(folder.glob(".*tmp*"))

@@ -5,6 +5,7 @@ import inspect
 import json
 import os
 import re
+import shlex
 import sys
 from functools import lru_cache
 from pathlib import Path
@@ -17,13 +18,12 @@ from roadsight.config.load import (
     load_sites,
     merged,
 )
-from roadsight.config.load import NamedValue
 from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
 from roadsight.io.records.sources import CachedChecksums
-from roadsight.io.records.sources import Stamps
+from roadsight.io.records.sources import Stamps, stage_module
 from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
@@ -89,24 +89,86 @@ wildcard_constraints:
     shard=r"\d+",
 
 
-def setting(path):
-    """Value of a setting at the wildcards' site."""
-    return lambda wildcards: NamedValue(path, SITES[wildcards.site].setting(path))
+# Inputs that a stage waits for and is not told of: its sources, decisions, results that others read.
+# So is every input whose name ends with `_files`: what the stage is told of it is a setting.
+AWAITED = {"code", "decided", "assets"}
+STEP = "RAYON_NUM_THREADS={threads} python -m {params.command} {params.settings} > {log} 2>&1"
 
 
-def flags(section):
-    """Settings of a section as command-line options, for a rule that takes them all."""
-    return lambda wildcards: as_options(
-        SITES[wildcards.site].setting(section).model_dump()
+def command(wildcards, input, output, threads, told_threads=""):
+    """The stage with all that it reads and writes; its name is that of the stamp of its sources.
+
+    Snakemake does not compare a parameter that takes inputs or outputs, as this one does.
+    """
+    code = input.code if isinstance(input.code, str) else input.code[0]
+    read = {
+        name: files
+        for name, files in input.items()
+        if name not in AWAITED and not name.endswith("_files")
+    }
+    if told_threads:
+        read[told_threads] = threads
+    return f"{stage_module(Path(code).name)} {as_options(read | dict(output.items()))}"
+
+
+def command_with(name):
+    """The same for a stage that is told its threads, under this name."""
+    return lambda wildcards, input, output, threads: command(
+        wildcards, input, output, threads, name
     )
 
 
-def some_flags(section, *asked):
-    """The same of some settings of a section: names, or the part of it that a stage takes."""
+rule step:
+    conda:
+        ENVIRONMENT
+    params:
+        command=command,
+        settings="",
+    shell:
+        STEP
+
+
+def told(*sections, **values):
+    """Settings of a stage as options, in one parameter, which Snakemake compares.
+
+    Parameters
+    ----------
+    sections : names of those that the stage takes whole; functions of wildcards that give options.
+    values : by the names of the stage's parameters, or functions of wildcards that give them.
+    """
+    parts = [flags(part) if isinstance(part, str) else part for part in sections]
+
+    def options(wildcards):
+        named = {
+            name: value(wildcards) if callable(value) else formatted(value, wildcards)
+            for name, value in values.items()
+        }
+        return " ".join([*(part(wildcards) for part in parts), as_options(named)])
+
+    return options
+
+
+def formatted(value, wildcards):
+    return (
+        value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
+    )
+
+
+def wildcard(name):
+    return lambda wildcards: wildcards[name]
+
+
+def setting(path):
+    """Value of a setting at the wildcards' site."""
+    return lambda wildcards: SITES[wildcards.site].setting(path)
+
+
+def flags(section, *asked):
+    """Options of a section: of all its settings, or of those asked for by name or by a part of it."""
 
     def options(wildcards):
         values = SITES[wildcards.site].setting(section).model_dump()
-        return as_options({name: values[name] for name in settings_in(asked)})
+        return as_options({name: values[name] for name in settings_in(asked) or values})
 
     return options
 
@@ -140,16 +202,18 @@ def settings_in(asked):
 
 
 def as_options(values):
-    return " ".join(
-        option(f"--{name.replace('_', '-')}", value) for name, value in values.items()
-    )
+    """Options for a shell; those of a list take its items, and may have none.
 
-
-def option(name, value):
-    """A setting as an option; a number may begin with a minus, which argparse must not take apart."""
-    if isinstance(value, list):
-        return " ".join([name, *map(str, value)])
-    return f"{name}={'' if value is None else value}"
+    A number may begin with a minus, which argparse must not take apart.
+    """
+    parts = []
+    for name, value in values.items():
+        option = f"--{name.replace('_', '-')}"
+        if isinstance(value, str) or not hasattr(value, "__iter__"):
+            parts.append(f"{option}={shlex.quote('' if value is None else str(value))}")
+        else:
+            parts.append(shlex.join([option, *map(str, value)]))
+    return " ".join(parts)
 
 
 def site_field(path):
@@ -159,7 +223,7 @@ def site_field(path):
         content = SITES[wildcards.site].site
         for part in path.split("."):
             content = getattr(content, part)
-        return NamedValue(path, "" if content is None else content)
+        return "" if content is None else content
 
     return value
 
@@ -241,6 +305,8 @@ def layered_site(path, otherwise=None):
 def million_points(input):
     """Size of a stage's cloud in million points; 4 where there is none yet."""
     cloud = getattr(input, "cloud", None)
+    if cloud and not isinstance(cloud, str):
+        cloud = cloud[0]  # of a step that reads it for some settings only
     return os.path.getsize(cloud) / 9 / 1e6 if cloud and os.path.exists(cloud) else 4
 
 
@@ -383,11 +449,11 @@ def site_extent(wildcards):
     resolved = SITES[wildcards.site]
     extent = resolved.site.extent
     if extent is None:
-        return NamedValue("extent", "")
+        return ""
     kind, _, value = extent.stated.partition("=")
     if kind == "polygon":
         value = resolved.layered(value)
-    return NamedValue("extent", f"{kind}={value}")
+    return f"{kind}={value}"
 
 
 def extent_crs(wildcards):

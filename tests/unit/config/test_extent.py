@@ -84,7 +84,7 @@ def test_an_extent_that_misses_the_cloud_is_refused(tmp_path, cloud, capsys, ext
     _, path = cloud
     out = [str(tmp_path / name) for name in ("cloud.parquet", "frame.json")]
     arguments = ["--site", "s", "--extent", extent, "--cloud", out[0], "--frame", out[1]]
-    assert main([*arguments, str(path)]) == 2
+    assert main([*arguments, "--clouds", str(path)]) == 2
     assert re.search(told, capsys.readouterr().err)
     assert not (tmp_path / "cloud.parquet").exists()
 

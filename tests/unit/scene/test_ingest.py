@@ -230,10 +230,10 @@ def test_command_line(tmp_path, capsys):
     path = write_las(tmp_path / "a.laz", random_points(10), UTM)
     cloud, frame = tmp_path / "c.parquet", tmp_path / "f.json"
     common = ["--site", "s", "--cloud", str(cloud), "--frame", str(frame)]
-    assert main([*common, "--target-crs", "", "--tile-size-m", "50.0", str(path)]) == 0
+    assert main([*common, "--target-crs", "", "--tile-size-m", "50.0", "--clouds", str(path)]) == 0
     before = cloud.read_bytes()
     assert json.loads(frame.read_text())["inputs"].keys() == {str(path)}
-    assert main([*common, str(tmp_path / "missing.laz")]) == 2
+    assert main([*common, "--clouds", str(tmp_path / "missing.laz")]) == 2
     message = capsys.readouterr().err.strip().splitlines()
     assert len(message) == 1
     assert "site s" in message[0]

@@ -27,7 +27,7 @@ def run(folder, xyz, classes, *options):
     both = ["--cloud", at["cloud"], "--frame", at["frame"]]
     site = ["--site", "here"]
     local = ["--crs", "local", "--units", "metre", "--vertical-units", "metre"]
-    assert ingest_cloud.main([*site, *local, str(folder / "cloud.laz"), *both]) == 0
+    assert ingest_cloud.main([*site, *local, "--clouds", str(folder / "cloud.laz"), *both]) == 0
     assert profile_scene.main([*both, "--out", at["profile"]]) == 0
     outputs = ["--dem", at["dem.tif"], "--ground", at["ground"]]
     told = ["--doubts", str(folder / "doubts.json")]

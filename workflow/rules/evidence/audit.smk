@@ -5,57 +5,51 @@ OUTPUTS          results/audit/: one JSON a site, audit.csv, index.html
 """
 
 
-rule audit_effects:
+use rule step as audit_effects with:
     input:
-        solution=lambda wildcards: (
+        solution_files=lambda wildcards: (
             f"results/{wildcards.site}/placement/{audited_plan(wildcards)}/solution.json"
         ),
-        effects=rules.plan_effects.output.effects,
+        effects=rules.plan_effects.output.out,
         catalogue=CONFIG.effects_file,
         code=sources("audit_effects"),
     output:
-        rows="results/audit/{site}.json",
+        out="results/audit/{site}.json",
     log:
         "logs/audit/{site}.log",
     benchmark:
         "results/audit/benchmarks/{site}.tsv"
-    conda:
-        ENVIRONMENT
     params:
-        plan=audited_plan,
-        config=config_of_audit,
-        work="results/audit/variants/{site}",
-    shell:
-        "python -m roadsight.stages.evidence.audit_effects --site {wildcards.site} --plan {params.plan}"
-        " --effects {input.effects} --catalogue {input.catalogue} --config {params.config:q}"
-        " --work {params.work} --out {output.rows} > {log} 2>&1"
+        settings=told(
+            site=wildcard("site"),
+            plan=audited_plan,
+            config=config_of_audit,
+            work="results/audit/variants/{site}",
+        ),
 
 
-rule audit_pole_effects:
+use rule step as audit_pole_effects with:
     input:
-        hazard="results/{site}/poles/hazard.parquet",
-        effects=rules.plan_effects.output.effects,
+        hazard_files="results/{site}/poles/hazard.parquet",
+        effects=rules.plan_effects.output.out,
         catalogue=CONFIG.effects_file,
         code=sources("audit_pole_effects"),
     output:
-        rows="results/audit/poles/{site}.json",
+        out="results/audit/poles/{site}.json",
     log:
         "logs/audit/poles/{site}.log",
     benchmark:
         "results/audit/benchmarks/poles/{site}.tsv"
-    conda:
-        ENVIRONMENT
     params:
-        one_way=effects_of_one_way,
-        config=config_of_audit,
-        work="results/audit/variants/poles/{site}",
-    shell:
-        "python -m roadsight.stages.evidence.audit_pole_effects --site {wildcards.site}"
-        " --effects {input.effects} --catalogue {input.catalogue:q} --config {params.config:q}"
-        " {params.one_way} --work {params.work} --out {output.rows} > {log} 2>&1"
+        settings=told(
+            effects_of_one_way,
+            site=wildcard("site"),
+            config=config_of_audit,
+            work="results/audit/variants/poles/{site}",
+        ),
 
 
-rule write_audit:
+use rule step as write_audit with:
     input:
         rows=[
             *(f"results/audit/{site}.json" for site in audited_sites("placement")),
@@ -71,8 +65,3 @@ rule write_audit:
         "logs/audit/write_audit.log",
     benchmark:
         "results/audit/benchmarks/write_audit.tsv"
-    conda:
-        ENVIRONMENT
-    shell:
-        "python -m roadsight.stages.evidence.write_audit --rows {input.rows} --csv {output.csv}"
-        " --table {output.table} --page {output.page} > {log} 2>&1"

@@ -5,9 +5,9 @@ OUTPUTS          results/{site}/poles/components.json
 """
 
 
-rule compare_components:
+use rule step as compare_components with:
     input:
-        frames=rules.read_videolog.output.frames,
+        frames=rules.read_videolog.output.out,
         image_edges=all_image_edges,
         pole_axes=landmark_axes,
         matches=tied_points,
@@ -15,39 +15,29 @@ rule compare_components:
         masks=all_masks,
         depth=all_depths,
         road_edges=rules.extract_road_edges.output.edges,
-        columns=rules.find_pole_columns.output.columns,
-        terrain=only_if("terrain_occlusion", rules.build_terrain.output.terrain),
+        columns=rules.find_pole_columns.output.out,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
         decided=after_profile("sight_curvature", "side_views", "grid_convergence"),
         voxels=rules.rasterise_lidar.output.voxels,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        truth=known_poles,
+        truth_files=known_poles,
         code=sources("compare_components"),
     output:
-        components="results/{site}/poles/components.json",
+        out="results/{site}/poles/components.json",
     log:
         log_of("compare_components"),
     benchmark:
         benchmark_of("compare_components")
-    conda:
-        ENVIRONMENT
     params:
-        truth=layered_site("truth.poles", known_poles),
-        truth_crs=site_field("truth.poles_crs"),
-        truth_kind=known_pole_kind,
-        settings=settings_of(
-            "calibration", "alignment", "sightings", "triangulation", "validation"
+        settings=told(
+            settings=settings_of(
+                "calibration", "alignment", "sightings", "triangulation", "validation"
+            ),
+            views=used_views,
+            curvature=decision_on("sight_curvature"),
+            grid_convergence=decision_on("grid_convergence"),
+            truth=layered_site("truth.poles", known_poles),
+            truth_crs=site_field("truth.poles_crs"),
+            truth_kind=known_pole_kind,
         ),
-        views=used_views,
-        curvature=decision_on("sight_curvature"),
-        grid_convergence=decision_on("grid_convergence"),
-    shell:
-        "python -m roadsight.stages.evidence.compare_components --frames {input.frames}"
-        " --matches {input.matches} --baseline {input.baseline:q}"
-        " --settings {params.settings:q} --views {params.views}"
-        " --curvature {params.curvature} --grid-convergence {params.grid_convergence}"
-        " --image-edges {input.image_edges} --pole-axes {input.pole_axes} --masks {input.masks}"
-        " --depth {input.depth} --road-edges {input.road_edges} --columns {input.columns}"
-        " --terrain {input.terrain} --voxels {input.voxels} --dem {input.dem}"
-        " --frame {input.frame} --truth {params.truth:q} --truth-crs={params.truth_crs:q}"
-        " --truth-kind={params.truth_kind:q} --out {output.components} > {log} 2>&1"

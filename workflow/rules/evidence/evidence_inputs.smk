@@ -91,7 +91,7 @@ PLAN_LISTS = {
 
 
 def lists_json(wildcards):
-    return NamedValue("lists", json.dumps(given_lists(wildcards)))
+    return json.dumps(given_lists(wildcards))
 
 
 def listed_files(wildcards):

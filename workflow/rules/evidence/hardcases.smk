@@ -5,7 +5,7 @@ OUTPUTS          results/hardcases/: hardcases.csv, index.html
 """
 
 
-rule run_hardcases:
+use rule step as run_hardcases with:
     input:
         assets=[
             path
@@ -20,12 +20,7 @@ rule run_hardcases:
         "logs/run_hardcases.log",
     benchmark:
         "results/benchmarks/run_hardcases.tsv"
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=1500,
     params:
-        seed=CONFIG.seed,
-    shell:
-        "python -m roadsight.stages.evidence.run_hardcases --seed {params.seed}"
-        " --table {output.table} --page {output.page} > {log} 2>&1"
+        settings=told(seed=CONFIG.seed),

@@ -5,35 +5,31 @@ OUTPUTS          results/paper/: short.csv, short.html; long.csv, long.html
 """
 
 
-rule measure_paper:
+use rule step as measure_paper with:
     input:
-        base=base_of_paper,
+        base_files=base_of_paper,
         code=sources("measure_paper"),
     output:
-        run="results/paper/runs/{size}/{run}.json",
+        out="results/paper/runs/{size}/{run}.json",
     log:
         "logs/paper/{size}/{run}.log",
     benchmark:
         "results/paper/benchmarks/{size}/{run}.tsv"
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=4000,
     params:
-        site=lambda wildcards: site_of_paper(wildcards),
-        config=lambda wildcards: config_of_paper(wildcards),
-        changes=lambda wildcards: json.dumps(changes_of_paper(wildcards)),
-        plans=lambda wildcards: run_of_paper(wildcards).plans,
-        targets=lambda wildcards: run_of_paper(wildcards).targets,
-        work="results/paper/variants/{size}/{run}",
-    shell:
-        "python -m roadsight.stages.evidence.measure_paper --site {params.site}"
-        " --config {params.config:q} --changes {params.changes:q} --plans {params.plans}"
-        " --targets {params.targets} --cores {threads} --work {params.work}"
-        " --out {output.run} > {log} 2>&1"
+        command=command_with("cores"),
+        settings=told(
+            site=lambda wildcards: site_of_paper(wildcards),
+            config=lambda wildcards: config_of_paper(wildcards),
+            changes=lambda wildcards: json.dumps(changes_of_paper(wildcards)),
+            plans=lambda wildcards: run_of_paper(wildcards).plans,
+            targets=lambda wildcards: run_of_paper(wildcards).targets,
+            work="results/paper/variants/{size}/{run}",
+        ),
 
 
-rule write_paper:
+use rule step as write_paper with:
     input:
         runs=runs_of_paper,
         assets=REPORT_ASSETS,
@@ -45,8 +41,5 @@ rule write_paper:
         "logs/paper/{size}/write_paper.log",
     benchmark:
         "results/paper/benchmarks/{size}/write_paper.tsv"
-    conda:
-        ENVIRONMENT
-    shell:
-        "python -m roadsight.stages.evidence.write_paper --size {wildcards.size}"
-        " --runs {input.runs} --csv {output.csv} --page {output.page} > {log} 2>&1"
+    params:
+        settings=told(size=wildcard("size")),

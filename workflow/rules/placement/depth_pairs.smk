@@ -5,26 +5,20 @@ OUTPUTS          results/{site}/placement/pairs/
 """
 
 
-rule render_depth_pairs:
+use rule step as render_depth_pairs with:
     input:
         candidates="results/{site}/placement/round-0/candidates.parquet",
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
         code=sources("render_depth_pairs"),
     output:
-        pairs=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
+        out=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
     log:
         log_of("render_depth_pairs"),
     benchmark:
         benchmark_of("render_depth_pairs")
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
     params:
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.placement.render_depth_pairs --candidates {input.candidates}"
-        " --cloud {input.cloud} --traffic {input.traffic} --seed {params.seed}"
-        " --out {output.pairs} > {log} 2>&1"
+        settings=told(seed=setting("seed")),

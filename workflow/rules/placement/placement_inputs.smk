@@ -19,7 +19,7 @@ def sensors_of(site):
 def mounting_rules(wildcards):
     """Rules of mounting as JSON."""
     rules = SITES[wildcards.site].settings.mounting
-    return NamedValue("mounting", rules.model_dump_json())
+    return rules.model_dump_json()
 
 
 def in_last_round(value, otherwise=()):
@@ -138,7 +138,7 @@ def plan_costs(wildcards):
 
 def plan_options(wildcards):
     """Options of the plan as JSON, empty where it has none."""
-    return NamedValue("options", plans_of(wildcards.site)[wildcards.plan].options())
+    return plans_of(wildcards.site)[wildcards.plan].options()
 
 
 def plan_file(option):
@@ -360,7 +360,7 @@ def cell_arguments(wildcards):
         f" --azimuth-stride {found.lidar.azimuth_stride}"
         f" --curvature {decision_on('curvature_refraction')(wildcards)}"
     )
-    return NamedValue("cells", text)
+    return text
 
 
 def refuse_boxes(wildcards):
@@ -382,7 +382,7 @@ def change_arguments(wildcards):
         f" --min-beams {min_beams_of(wildcards.site)}"
         f" --azimuth-stride {found.lidar.azimuth_stride} --engine {found.lidar.engine}"
     )
-    return NamedValue("changes", text)
+    return text
 
 
 def engine_of_cover(wildcards):
@@ -404,10 +404,7 @@ def robust_arguments(wildcards):
         f" --partial-hits {decision_on('partial_hits')(wildcards)}"
         f" --curvature {decision_on('curvature_refraction')(wildcards)}"
     )
-    return NamedValue(
-        "robust",
-        f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}",
-    )
+    return f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}"
 
 
 def refuse_posed(wildcards, posed):

@@ -49,7 +49,7 @@ def criteria_of_sensor(wildcards):
         asked = "" if pixels is None else f"--min-pixels {pixels}"
     else:
         asked = f"--min-beams {min_beams_of(wildcards.site)}"
-    return NamedValue("criteria", asked)
+    return asked
 
 
 def sensor_of_map(wildcards):
@@ -64,9 +64,7 @@ def sensor_of_map(wildcards):
 def stride_of_map(wildcards):
     """Panoramas are never thinned."""
     stride = setting("lidar.azimuth_stride")(wildcards)
-    return (
-        stride if wildcards.sensor in SENSORS else NamedValue("lidar.azimuth_stride", 1)
-    )
+    return stride if wildcards.sensor in SENSORS else 1
 
 
 def tilts_of_map(wildcards):

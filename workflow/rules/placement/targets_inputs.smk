@@ -19,16 +19,12 @@ def target_box(wildcards):
 def target_room(wildcards):
     """Radius and height about each target in which beams are cast."""
     shape = shape_of(SITES[wildcards.site].settings.targets.model_dump())
-    return NamedValue("targets room", "{} {}".format(*room_for(shape)))
+    return list(room_for(shape))
 
 
 def target_height(wildcards):
     box = box_of(wildcards.site)
-    return (
-        setting("targets.height_m")(wildcards)
-        if box is None
-        else NamedValue("targets.height_m", box.height_m)
-    )
+    return setting("targets.height_m")(wildcards) if box is None else box.height_m
 
 
 def min_beams_of(site):
@@ -48,7 +44,7 @@ def min_pixels_of(site):
 
 
 def least_beams(wildcards):
-    return NamedValue("targets.min_beams", min_beams_of(wildcards.site))
+    return min_beams_of(wildcards.site)
 
 
 def edges_of_targets(wildcards):
@@ -63,4 +59,4 @@ def target_width(wildcards):
     box = box_of(wildcards.site)
     targets = SITES[wildcards.site].settings.targets
     width_m = 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
-    return NamedValue("targets.width_m", width_m)
+    return width_m

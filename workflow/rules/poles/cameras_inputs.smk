@@ -71,7 +71,7 @@ def side_turns_if_used(wildcards):
     """Yaw of the side views from what images share, where cameras are aligned and views are used."""
     await_profile("side_views", wildcards)
     stitched = SITES[wildcards.site].setting("sightings.side_views") == "stitched"
-    used = used_views(wildcards) != "front" and aligns(wildcards) and not stitched
+    used = used_views(wildcards) != ["front"] and aligns(wildcards) and not stitched
     return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
 
 

@@ -164,7 +164,7 @@ def drive_profile(wildcards):
 def used_views(wildcards):
     """Views that are looked at; its rule takes `after_profile` among its inputs."""
     skipped = decision_on("side_views")(wildcards) == "skip"
-    return "front" if skipped else "front left right"
+    return ["front"] if skipped else ["front", "left", "right"]
 
 
 def without_distortion(kind):

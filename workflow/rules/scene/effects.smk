@@ -9,7 +9,7 @@ OUTPUTS          results/{site}/effects.json
 """
 
 
-rule plan_effects:
+use rule step as plan_effects with:
     input:
         profile="results/{site}/scene/profile.json",
         frame="results/{site}/scene/frame.json",
@@ -17,16 +17,10 @@ rule plan_effects:
         catalogue=CONFIG.effects_file,
         code=sources("plan_effects"),
     output:
-        effects="results/{site}/effects.json",
+        out="results/{site}/effects.json",
     log:
         log_of("plan_effects"),
     benchmark:
         benchmark_of("plan_effects")
-    conda:
-        ENVIRONMENT
     params:
-        circumstances=circumstances_json,
-    shell:
-        "python -m roadsight.stages.scene.plan_effects --profile {input.profile}"
-        " --frame {input.frame} --drive {input.drive} --catalogue {input.catalogue:q}"
-        " --circumstances {params.circumstances:q} --out {output.effects} > {log} 2>&1"
+        settings=told(circumstances=circumstances_json),

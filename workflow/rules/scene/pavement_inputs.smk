@@ -76,7 +76,7 @@ def profile_for_pavement(wildcards):
 def pavement_seeds(wildcards):
     """Places on the road as ``x,y;x,y``."""
     seeds = SITES[wildcards.site].setting("pavement.seeds")
-    return NamedValue("pavement.seeds", ";".join(f"{x!r},{y!r}" for x, y in seeds))
+    return ";".join(f"{x!r},{y!r}" for x, y in seeds)
 
 
 def memory_of_pavement(wildcards, input, attempt):

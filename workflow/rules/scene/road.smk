@@ -7,7 +7,7 @@ OUTPUTS          results/{site}/poles/: voxels, top view, road edges, terrain
 from roadsight.base.sections.poles import RoadClasses
 
 
-rule rasterise_lidar:
+use rule step as rasterise_lidar with:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
@@ -21,23 +21,16 @@ rule rasterise_lidar:
         log_of("rasterise_lidar"),
     benchmark:
         benchmark_of("rasterise_lidar")
-    conda:
-        ENVIRONMENT
     threads: 2
     resources:
         mem_mb=megabytes(10),
         runtime=minutes(),
     params:
-        road_source=road_source,
-        options=flags("voxels"),
-    shell:
-        "python -m roadsight.stages.scene.rasterise_lidar --cloud {input.cloud}"
-        " --frame {input.frame} --dem {input.dem} --pavement {input.pavement}"
-        " --road-source {params.road_source} {params.options} --voxels {output.voxels}"
-        " --top {output.top} --threads {threads} > {log} 2>&1"
+        command=command_with("threads"),
+        settings=told("voxels", road_source=road_source),
 
 
-rule extract_road_edges:
+use rule step as extract_road_edges with:
     input:
         top=rules.rasterise_lidar.output.top,
         frame=rules.ingest_cloud.output.frame,
@@ -51,37 +44,23 @@ rule extract_road_edges:
         log_of("extract_road_edges"),
     benchmark:
         benchmark_of("extract_road_edges")
-    conda:
-        ENVIRONMENT
     params:
-        options=flags("road_edges"),
-    shell:
-        "python -m roadsight.stages.scene.extract_road_edges --top {input.top}"
-        " --frame {input.frame} --cloud {input.cloud} --frames {input.frames}"
-        " {params.options} --edges {output.edges}"
-        " --lines {output.lines} > {log} 2>&1"
+        settings=told("road_edges"),
 
 
-rule build_terrain:
+use rule step as build_terrain with:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         ground=ground_for_terrain,
         code=sources("build_terrain"),
     output:
-        terrain="results/{site}/poles/terrain.npz",
+        out="results/{site}/poles/terrain.npz",
     log:
         log_of("build_terrain"),
     benchmark:
         benchmark_of("build_terrain")
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        classes=some_flags("voxels", RoadClasses),
-        mesh=flags("terrain_mesh"),
-    shell:
-        "python -m roadsight.stages.scene.build_terrain --cloud {input.cloud}"
-        " --ground {input.ground} {params.classes} {params.mesh}"
-        " --out {output.terrain} > {log} 2>&1"
+        settings=told(flags("voxels", RoadClasses), "terrain_mesh"),

@@ -11,7 +11,7 @@ from roadsight.base.sections.run import (
 )
 
 
-rule generate_sample:
+use rule step as generate_sample with:
     input:
         code=sources("generate_sample"),
     output:
@@ -24,19 +24,16 @@ rule generate_sample:
         benchmark_of("generate_sample")
     wildcard_constraints:
         site=sites_with_scene("highway"),
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=each_attempt(2000),
     params:
-        options=sample_flags(HighwayScene, "length_m", "class_scheme"),
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.scene.generate_sample {params.options} --seed {params.seed}"
-        " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
+        settings=told(
+            sample_flags(HighwayScene, "length_m", "class_scheme"),
+            seed=setting("seed"),
+        ),
 
 
-rule generate_rural:
+use rule step as generate_rural with:
     input:
         code=sources("generate_rural"),
     output:
@@ -52,21 +49,16 @@ rule generate_rural:
         benchmark_of("generate_rural")
     wildcard_constraints:
         site=sites_with_scene("rural"),
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=each_attempt(2000),
     params:
-        options=sample_flags(RuralScene, RuralSurvey, "length_m", "class_scheme"),
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.scene.generate_rural {params.options} --seed {params.seed}"
-        " --cloud {output.cloud} --truth {output.truth} --poles {output.poles}"
-        " --cameras {output.cameras} --videolog {output.videolog}"
-        " --baseline {output.baseline} > {log} 2>&1"
+        settings=told(
+            sample_flags(RuralScene, RuralSurvey, "length_m", "class_scheme"),
+            seed=setting("seed"),
+        ),
 
 
-rule render_videolog:
+use rule step as render_videolog with:
     input:
         code=sources("render_videolog"),
     output:
@@ -77,15 +69,12 @@ rule render_videolog:
         benchmark_of("render_videolog", "{shard}")
     wildcard_constraints:
         site=sites_with_scene("rural"),
-    conda:
-        ENVIRONMENT
     resources:
         mem_mb=each_attempt(2000),
     params:
-        options=sample_flags(RuralScene, RuralLenses, "length_m"),
-        seed=setting("seed"),
-        shards=setting("shards"),
-    shell:
-        "python -m roadsight.stages.scene.render_videolog {params.options} --seed {params.seed}"
-        " --shard {wildcards.shard} --shards {params.shards}"
-        " --images {output.images} > {log} 2>&1"
+        settings=told(
+            sample_flags(RuralScene, RuralLenses, "length_m"),
+            seed=setting("seed"),
+            shard=wildcard("shard"),
+            shards=setting("shards"),
+        ),

@@ -27,7 +27,7 @@ class Scene:
         self.folder = folder
         both = ("--cloud", self.path("cloud.parquet"), "--frame", self.path("frame.json"))
         self.both = ("--site", "s", *both)
-        assert ingest_cloud.main([*self.both, *options, str(cloud)]) == 0
+        assert ingest_cloud.main([*self.both, *options, "--clouds", str(cloud)]) == 0
         assert profiled.main([*both, "--out", self.path("profile.json")]) == 0
         self.profile = ("--profile", self.path("profile.json"))
         self.ground = ("--ground", self.path("ground.parquet"))

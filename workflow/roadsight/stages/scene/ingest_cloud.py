@@ -258,7 +258,6 @@ def _promised(clouds: Sequence[Path], choice: UnitChoice) -> tuple[Frame | None,
 
 def ingest_cloud(
     clouds: Sequence[Path],
-    /,
     site: str,
     choice: UnitChoice,
     settings: Scene,
