@@ -200,6 +200,3 @@ def _located(path: str, file: Path) -> Path:
     found = Path(re.sub(r"\$\{(\w+)\}", value, path))
     check_path(found, str(file))
     return found if found.is_absolute() else Path(os.path.normpath(file.parent / found))
-
-
-# Settings as parameters of rules, each told apart from any other.
