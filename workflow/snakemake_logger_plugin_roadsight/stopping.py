@@ -12,11 +12,14 @@ from typing import Any
 
 from snakemake.scheduling.job_scheduler import JobScheduler
 
+from snakemake_logger_plugin_roadsight.patching import replace_method
 
-def let_stops_through() -> None:
-    """Give the scheduler a handler that takes no lock; call this before a run begins."""
-    if hasattr(JobScheduler, "exit_gracefully"):
-        JobScheduler.exit_gracefully = exit_gracefully
+_EXPECTED = """
+def exit_gracefully(self, *args):
+    with self._lock:
+        self._user_kill = "graceful"
+    self._open_jobs.release()
+"""
 
 
 def exit_gracefully(scheduler: Any, *_signal: Any) -> None:
@@ -27,3 +30,9 @@ def exit_gracefully(scheduler: Any, *_signal: Any) -> None:
     """
     scheduler._user_kill = "graceful"
     threading.Thread(target=scheduler._open_jobs.release, daemon=True).start()
+
+
+def let_stops_through() -> None:
+    """Give the scheduler a handler that takes no lock; call this before a run begins."""
+    without = "a run that gets TERM may hang"
+    replace_method(JobScheduler, "exit_gracefully", _EXPECTED, exit_gracefully, without)
