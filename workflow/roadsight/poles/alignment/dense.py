@@ -19,63 +19,37 @@ from roadsight.geometry.cameras import cam_from_world
 from roadsight.poles.alignment.visible import FIELD_OF, SceneCloud, visible_samples
 from roadsight.poles.images.evidence import ImageEvidence
 
+# Numbers of two of the unknowns: along, lateral, up (m), yaw, pitch, roll (degrees)
 YAW, PITCH = 3, 4
-"""Numbers of two of the unknowns: along, lateral, up (m), yaw, pitch, roll (degrees)."""
-
+# What a sample of each kind (`visible`) counts: neighbours repeat each other. Of surfaces 0.02 to
+# 0.003 does as well within one image of 25, 0.1 lets wrong classes pull roll and pitch; all
+# weights twice or half as large change nothing.
 _WEIGHT = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01, 0.1, 0.1])
-"""What a sample of each kind (`visible`) counts: neighbours repeat each other. Of surfaces 0.02 to
-0.003 does as well within one image of 25, 0.1 lets wrong classes pull roll and pitch; all weights
-twice or half as large change nothing."""
-
+# Blur of the first look: 2 degrees are 25 px at 720 px of focal length, and the starts lie closer
 _WIDEST_PX = 16.0
-"""Blur of the first look: 2 degrees are 25 px at 720 px of focal length, and the starts lie closer.
-"""
-
-_BLURS_PX = (8.0, 4.0)
-"""Blurs of the first descents; each keeps the best of the last."""
-
-FINEST_PX = 2.0
-"""Blur of the last descent; edges of image and cloud agree to about that."""
-
-_TRIALS = 384
-"""Starts. A grid of 3 x 3 x 3 found 89 % of 100 poses that these find at 96 %."""
-
-_FARTHEST = 2.2
-"""Starts lie within this many expected standard deviations."""
-
-_CHOSEN = 12
-"""Starts that descend at 8 px; half of them go on at 4 px, a quarter at 2 px."""
-
-_APART = 0.5
-"""Chosen starts differ by this share of an expected standard deviation in some unknown."""
-
-_SAME = 0.1
-"""Minima that differ by less in all unknowns are one."""
-
+_BLURS_PX = (8.0, 4.0)  # Blurs of the first descents; each keeps the best of the last
+FINEST_PX = 2.0  # Blur of the last descent; edges of image and cloud agree to about that
+_TRIALS = 384  # Starts. A grid of 3 x 3 x 3 found 89 % of 100 poses that these find at 96 %.
+_FARTHEST = 2.2  # Starts lie within this many expected standard deviations
+_CHOSEN = 12  # Starts that descend at 8 px; half of them go on at 4 px, a quarter at 2 px
+_APART = 0.5  # Chosen starts differ by this share of an expected standard deviation in some unknown
+_SAME = 0.1  # Minima that differ by less in all unknowns are one
+# Tiles whose samples err alike: with 40 px sigmas are a fifth smaller, with 160 px they scatter
 _TILE_PX = 80
-"""Tiles whose samples err alike: with 40 px sigmas are a fifth smaller, with 160 px they scatter.
-"""
-
+# Error that all samples of an image share, of lens and rectification. Without it 39 % of headings
+# lie within one sigma and 60 % within two; with 1.0 px 78 and 100 % of 45 single photographs of
+# five streets, 39 and 74 % of 31 views of a drive (0.7 px: 64 and 98 %, 29 and 68 %).
 FLOOR_PX = 1.0
-"""Error that all samples of an image share, of lens and rectification. Without it 39 % of headings
-lie within one sigma and 60 % within two; with 1.0 px 78 and 100 % of 45 single photographs of five
-streets, 39 and 74 % of 31 views of a drive (0.7 px: 64 and 98 %, 29 and 68 %)."""
-
-FLOOR_M = 0.05
-"""The same of the cloud: registration of its scans."""
-
+FLOOR_M = 0.05  # The same of the cloud: registration of its scans
+# Depth at which most samples lie: a wrong focal length moves a camera by that share of it
 _DEPTH_M = 20.0
-"""Depth at which most samples lie: a wrong focal length moves a camera by that share of it."""
-
+# A second pose that is nearer than this in all unknowns does no harm; metres and degrees
 _SECOND = np.array([0.5, 0.5, 0.5, 0.25, 0.25, 0.25])
-"""A second pose that is nearer than this in all unknowns does no harm; metres and degrees."""
-
+# Spread of the poses that the best one is compared with, whatever was expected: what a videolog
+# leaves open
 _ELSEWHERE = np.array([0.7, 0.7, 0.1, 2.0, 1.0, 1.0])
-"""Spread of the poses that the best one is compared with, whatever was expected: what a videolog
-leaves open."""
-
+# Blur of that comparison: at 2 px chance hits scatter, at 8 px the best pose stands out less
 _LEAD_PX = 4.0
-"""Blur of that comparison: at 2 px chance hits scatter, at 8 px the best pose stands out less."""
 
 
 @dataclass(frozen=True)
@@ -381,12 +355,8 @@ def common_sigma(lens: GivenLens) -> Floats:
 # The pose moves from where it starts by along, lateral (right), up (metres; along and right of
 # the start's heading) and yaw, pitch, roll (degrees). Axes and angles as in `geometry.cameras`.
 
-SIZE = 6
-"""Along, lateral, up, yaw, pitch, roll."""
-
-_NEAREST_M = 0.5
-"""Samples nearer than this, or behind the camera, are in no image."""
-
+SIZE = 6  # Along, lateral, up, yaw, pitch, roll
+_NEAREST_M = 0.5  # Samples nearer than this, or behind the camera, are in no image
 _RADIANS = np.pi / 180.0
 
 

@@ -19,22 +19,20 @@ from roadsight.poles.alignment.pose import ALONG, LATERAL
 from roadsight.poles.alignment.solve import Fit
 
 _State = tuple[Floats, Floats]
+# One standard deviation of what is said of a receiver beforehand, as logarithms of `DriftModel`:
+# twice or half as much is as usual as not
 _KNOWN = np.log([2.0, 2.0, 2.0])
-"""One standard deviation of what is said of a receiver beforehand, as logarithms of `DriftModel`:
-twice or half as much is as usual as not."""
+# Degrees of freedom of a measurement's error: few, since some images take one pole for another
 _TAILS = 4.0
-"""Degrees of freedom of a measurement's error: few, since some images take one pole for another."""
+# Squared scale of these tails for which normal errors in two directions give their true variance:
+# E[(_TAILS + 2) d / (_SCALE + d)] = 2 for d of chi squared with 2 degrees of freedom
 _SCALE = 3.0
-"""Squared scale of these tails for which normal errors in two directions give their true variance:
-E[(_TAILS + 2) d / (_SCALE + d)] = 2 for d of chi squared with 2 degrees of freedom."""
-_FEWEST = 8
-"""Measured places from which a receiver's errors are estimated."""
+_FEWEST = 8  # Measured places from which a receiver's errors are estimated
+# One standard deviation of a place that counts as unknown: far beyond any error of a track
 _UNKNOWN_M = 30.0
-"""One standard deviation of a place that counts as unknown: far beyond any error of a track."""
+# Share of what road edges tell an image that is news: others see the same, errors included
 OVERLAP = 0.05
-"""Share of what road edges tell an image that is news: others see the same, errors included."""
-MARK_OVERLAP = 0.5
-"""The same share of what landmarks tell."""
+MARK_OVERLAP = 0.5  # The same share of what landmarks tell
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,15 @@ from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 
+# Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide
 Visible = Callable[[Floats, Floats], Bools]
-"""Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
-
+# By this much the track reaches beyond the farthest road edge, since points past its ends have no
+# side; at the ends of a route it is continued straight on
 _BEYOND_M = 60.0
-"""By this much the track reaches beyond the farthest road edge, since points past its ends have no
-side; at the ends of a route it is continued straight on."""
-
+# Columns this much beyond the range of landmarks are loaded: the range is measured from the track,
+# and again from the pose, which may be nearer
 _SLACK_M = 10.0
-"""Columns this much beyond the range of landmarks are loaded: the range is measured from the track,
-and again from the pose, which may be nearer."""
-
+# Columns of the table of pole axes that hold numbers
 _AXIS_NUMBERS = (
     "u",
     "v",
@@ -41,11 +39,8 @@ _AXIS_NUMBERS = (
     "width_view_px",
     "height_view_px",
 )
-"""Columns of the table of pole axes that hold numbers."""
-
+# Height of a camera above the road before it is known, for sight lines; what `weak_mount` expects
 _EYE_M = 2.2
-"""Height of a camera above the road before it is known, for sight lines; what `weak_mount`
-expects."""
 
 
 @dataclass(frozen=True)
@@ -214,73 +209,49 @@ def loader(
 # Vehicles keep to their road within a degree, while the direction between two satellite positions
 # 8 m apart may be wrong by several; and a camera tilts with the road.
 
+# How far around a place edges tell the road's direction and tilt. Where a road changes its bend
+# within this, a mean direction lags behind by a sixth of the radius squared times the change: 0.4
+# degrees on the generated rural road, always towards a straighter road, so that the lens found
+# with it is too long. With the change of the bend and of the grade as unknowns, 30 m serve as well
+# as 20 in dense clouds and have less noise in sparse ones (24, 8, 2 pulses/m2).
 _AROUND_M = 30.0
-"""How far around a place edges tell the road's direction and tilt. Where a road changes its bend
-within this, a mean direction lags behind by a sixth of the radius squared times the change: 0.4
-degrees on the generated rural road, always towards a straighter road, so that the lens found with
-it is too long. With the change of the bend and of the grade as unknowns, 30 m serve as well as 20
-in dense clouds and have less noise in sparse ones (24, 8, 2 pulses/m2)."""
-
-_TURN_DEG = 25.0
-"""Edges that run at a greater angle to the road are of side roads and drives."""
-
-_FEWEST = 12
-"""With fewer edge points the track alone has to do."""
-
+_TURN_DEG = 25.0  # Edges that run at a greater angle to the road are of side roads and drives
+_FEWEST = 12  # With fewer edge points the track alone has to do
 # As if height (m), grade, bank, bend of the grade (1/m) and its change (1/m2) were known
 # beforehand this well: grades change over some 100 m.
 _TILT_SIGMA = np.array([0.5, 0.03, 0.04, 0.002, 1e-4])
-
-_HEIGHT_SIGMA_M = 0.03
-"""One standard deviation of an edge point's height."""
-
+_HEIGHT_SIGMA_M = 0.03  # One standard deviation of an edge point's height
+# The same of direction (radians), bend (1/m) and its change (1/m2): radii below some 30 m are
+# unlikely, and so is a clothoid that reaches one of 30 m within 30 m
 _COURSE_SIGMA = np.array([1.0, 0.03, 1e-3])
-"""The same of direction (radians), bend (1/m) and its change (1/m2): radii below some 30 m are
-unlikely, and so is a clothoid that reaches one of 30 m within 30 m."""
-
-_LEAST_TURN_DEG = 0.1
-"""Least standard deviation of an edge point's direction."""
-
-_INDEPENDENT = 0.1
-"""Share of edge points that tell something new: neighbours err alike."""
-
-_ROUNDS = 8
-"""Rounds of reweighing."""
-
+_LEAST_TURN_DEG = 0.1  # Least standard deviation of an edge point's direction
+_INDEPENDENT = 0.1  # Share of edge points that tell something new: neighbours err alike
+_ROUNDS = 8  # Rounds of reweighing
 # What follows decides where a track is moved (decision 091). On generated drives whose positions
 # drift by 3 m (roads of seeds 1 and 5) these places are inside their road then, and drives that
 # keep to it stay, with any of the values in brackets.
+# How far ahead and behind edges tell where the road lies across a place of the track (3 to 5; from
+# 8 on a bend and the heading's error move one more drive of 2 pulses/m2)
 _STRIP_M = 5.0
-"""How far ahead and behind edges tell where the road lies across a place of the track (3 to 5;
-from 8 on a bend and the heading's error move one more drive of 2 pulses/m2)."""
-
+# How far aside they do: a receiver's error of some metres and the road's width (10 to 20)
 _ASIDE_M = 15.0
-"""How far aside they do: a receiver's error of some metres and the road's width (10 to 20)."""
-
+# Points of one line, 0.3 m apart along it, have no such gap between them across (0.3 to 1)
 _APART_M = 0.5
-"""Points of one line, 0.3 m apart along it, have no such gap between them across (0.3 to 1)."""
-
+# Metres along the road, of the 10 of the strip, in which a line has points: a lone point is none
+# (1 to 5)
 _FEWEST_M = 3
-"""Metres along the road, of the 10 of the strip, in which a line has points: a lone point is none
-(1 to 5)."""
-
+# Lines nearer to each other have no road between them: the width of a lane (1.5 to 4)
 _NARROWEST_M = 2.5
-"""Lines nearer to each other have no road between them: the width of a lane (1.5 to 4)."""
-
+# Most by which the width of a gap differs from the road's, as a share of it. Roads are told to 7
+# percent; the mouth of a drive adds 30 (0.1 to 0.4).
 _LIKE_WIDTH = 0.25
-"""Most by which the width of a gap differs from the road's, as a share of it. Roads are told to 7
-percent; the mouth of a drive adds 30 (0.1 to 0.4)."""
-
+# A drive none of whose places is as far beside the road as this stays as it is: places of drives
+# that keep to their road are up to 0.46 m beside its edges (with 1 m, one of three drifting drives
+# stays and leaves 5 of 38 places beside the road)
 _BESIDE_M = 0.5
-"""A drive none of whose places is as far beside the road as this stays as it is: places of drives
-that keep to their road are up to 0.46 m beside its edges (with 1 m, one of three drifting drives
-stays and leaves 5 of 38 places beside the road)."""
-
+# Share of the road's width by which places of a moved drive are inside its edges (0.1 to 0.35)
 _WITHIN = 0.25
-"""Share of the road's width by which places of a moved drive are inside its edges (0.1 to 0.35)."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
+_MEDIAN_OF_NORMAL = 0.6745  # Median of the absolute value of a standard normal variable
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,11 @@ from roadsight.base.arrays import Floats
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.alignment.kernel import camera
 
-_DEGREE = np.pi / 180.0
-"""Radians in a degree."""
-POSED = 6
-"""How many of the unknowns place and turn a camera; the lens's follow."""
-
-
+_DEGREE = np.pi / 180.0  # Radians in a degree
+POSED = 6  # How many of the unknowns place and turn a camera; the lens's follow
 _Vector = tuple[float, float, float]
+# Turn, its derivatives, centre and its derivatives, as `camera` gives them
 _Camera = tuple[Floats, Floats, Floats, Floats]
-"""Turn, its derivatives, centre and its derivatives, as `camera` gives them."""
 
 
 @compiled_part(error_model="numpy")

@@ -13,15 +13,14 @@ from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import FINEST, ImageEdges, Noise, Task, descend
 from roadsight.poles.calibration.calibration import weak_mount
 
+# Edge pixels that an image needs to be compared, as many as for an alignment (`Limits`)
 FEWEST_PIXELS = 40
-"""Edge pixels that an image needs to be compared, as many as for an alignment (`Limits`)."""
+# Road edge points ahead that an image needs to be compared, as for an alignment (`Limits`)
 FEWEST_POINTS = 30
-"""Road edge points ahead that an image needs to be compared, as for an alignment (`Limits`)."""
+# Scale, in standard deviations, at which the descent starts. Only the insets are free, so that it
+# need not reach as far as a search for a pose.
 _COARSE = 12.0
-"""Scale, in standard deviations, at which the descent starts. Only the insets are free, so that it
-need not reach as far as a search for a pose."""
-_FIXED = 1e10
-"""Inverse variance of a number that must not move: a standard deviation of 1e-5."""
+_FIXED = 1e10  # Inverse variance of a number that must not move: a standard deviation of 1e-5
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ import numpy as np
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.kernels import compiled, compiled_part
 
-_DEGREE = np.pi / 180.0
-"""Radians in a degree."""
+_DEGREE = np.pi / 180.0  # Radians in a degree
+# Points less far in front of the camera are not projected: near its plane they go to infinity
 _NEAR_M = 1.0
-"""Points less far in front of the camera are not projected: near its plane they go to infinity."""
+# Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each
 _BLOCK = 8
-"""Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each."""
 
 
 @compiled(error_model="numpy")

@@ -15,19 +15,14 @@ from roadsight.base.kernels import compiled
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import TURNS
 
-VIEWS = ("front", "left", "right")
-"""Views in the order of their numbers."""
-POSE = 8
-"""How many of the unknowns move what is observed: all before the insets."""
+VIEWS = ("front", "left", "right")  # Views in the order of their numbers
+POSE = 8  # How many of the unknowns move what is observed: all before the insets
+# Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-2])
-"""Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px."""
-_BEHIND_M = 1.0
-"""Ends of columns that are less far in front of a view have no row in it."""
+_BEHIND_M = 1.0  # Ends of columns that are less far in front of a view have no row in it
+# A side view whose yaw is less certain than this is not used: its axes would fit too many columns
 _BLIND_DEG = 1.0
-"""A side view whose yaw is less certain than this is not used: its axes would fit too many
-columns."""
-_DEGREE = np.pi / 180.0
-"""Radians in a degree."""
+_DEGREE = np.pi / 180.0  # Radians in a degree
 
 
 @dataclass(frozen=True)

@@ -20,28 +20,18 @@ from roadsight.poles.alignment.landmarks import (
 )
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend, search
 
-_ROUNDS = 3
-"""Rounds of pairing and descent at most, should pairs go to and fro."""
-
-_STARTS = 2
-"""Minima of the road edges that landmarks are tried on."""
-
+_ROUNDS = 3  # Rounds of pairing and descent at most, should pairs go to and fro
+_STARTS = 2  # Minima of the road edges that landmarks are tried on
+# A minimum that costs so much more than the best (log-likelihood) is not tried. An axis without a
+# column costs 4.5, so more than three landmarks would have to speak for it alone.
 _FAR_WORSE = 15.0
-"""A minimum that costs so much more than the best (log-likelihood) is not tried. An axis without a
-column costs 4.5, so more than three landmarks would have to speak for it alone."""
-
-_FEW = 20
-"""Fewer pixels than this do not tell how well edges fit."""
-
+_FEW = 20  # Fewer pixels than this do not tell how well edges fit
+# Edges count up to so many times more or less, which a scatter of half or twice the expected one
+# gives: a few pixels that fit by chance must not outweigh everything else
 _MOST_TRUST = 4.0
-"""Edges count up to so many times more or less, which a scatter of half or twice the expected one
-gives: a few pixels that fit by chance must not outweigh everything else."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
+_MEDIAN_OF_NORMAL = 0.6745  # Median of the absolute value of a standard normal variable
+# Cost of an axis without a column: that of a landmark that is infinitely far off
 _UNEXPLAINED = 0.5 * FINEST**2
-"""Cost of an axis without a column: that of a landmark that is infinitely far off."""
 
 
 def locate(
@@ -151,16 +141,13 @@ def _same(one: Fit, other: Fit) -> bool:
 # likeliest few survive. Truth is never asked; two hypotheses that are about as likely stay two
 # minima, and the verdict says that the pose is ambiguous.
 
+# Standard deviations by which an axis and a column may differ: a narrower gate loses true pairs, a
+# wider one makes more hypotheses
 _GATE = 4.0
-"""Standard deviations by which an axis and a column may differ: a narrower gate loses true pairs, a
-wider one makes more hypotheses."""
-
+# Hypotheses that are followed up: with fewer, the true one may drop out while others look as good;
+# time grows with them
 _BEAM = 12
-"""Hypotheses that are followed up: with fewer, the true one may drop out while others look as good;
-time grows with them."""
-
-_LOST_TOP = 0.4
-"""Share of a pole's length that a mask may lose at its thin upper end."""
+_LOST_TOP = 0.4  # Share of a pole's length that a mask may lose at its thin upper end
 
 
 @dataclass(frozen=True)

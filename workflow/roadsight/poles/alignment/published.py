@@ -27,26 +27,23 @@ from roadsight.poles.alignment.pose import FOCAL
 from roadsight.poles.images.lanes import scale_of
 
 FOOT_M = 0.3048
+# Range of the LiDAR edge points that are compared (authors' code)
 NEAREST_M, FARTHEST_M = 40 * FOOT_M, 800 * FOOT_M
-"""Range of the LiDAR edge points that are compared (authors' code)."""
+# How far a parameter may be from the baseline's, m and degrees (1.1 ft, 0.11; authors' code)
 PUBLISHED_BOUNDS = (AlignmentLimits().bound_m, AlignmentLimits().bound_deg)
-"""How far a parameter may be from the baseline's, m and degrees (1.1 ft, 0.11; authors' code)."""
+# Edge pixels that far off or farther along either axis are no partners (authors' code)
 WINDOW_PX = 300.0
-"""Edge pixels that far off or farther along either axis are no partners (authors' code)."""
-_FIRST_WINDOW_PX = 50.0
-"""The same when the baseline is judged (authors' code)."""
-_NO_PARTNER = 1e6
-"""Cost of a side without points, pixels or any pair (authors' code)."""
+_FIRST_WINDOW_PX = 50.0  # The same when the baseline is judged (authors' code)
+_NO_PARTNER = 1e6  # Cost of a side without points, pixels or any pair (authors' code)
+# A baseline whose cost and distances are below these is taken as it is (authors' code)
 _GOOD_COST, _GOOD_PX = 1400.0, 150.0
-"""A baseline whose cost and distances are below these is taken as it is (authors' code)."""
 _ITERATIONS = 1000
+# Bounds of parameters (feet, degrees) where the baseline is far off (authors' code)
 _MENDED = np.array([[-10, 10], [-11, 11], [-18, 18], [-2, 2], [-3, 3], [-2, 2]], float)
-"""Bounds of parameters (feet, degrees) where the baseline is far off (authors' code)."""
-_WIDE_ROAD_PX = 500.0
-"""Width of edges along a row from which its ends are compared (authors' code)."""
+_WIDE_ROAD_PX = 500.0  # Width of edges along a row from which its ends are compared (authors' code)
 _GL_FROM_CV = np.diag([1.0, -1.0, -1.0])
+# From right, up, back to right, ahead, up
 _LEVEL_FROM_GL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From right, up, back to right, ahead, up."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,9 @@ from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 
 _USUAL = Reach()
-
+# Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory
 _BATCH = 20_000
-"""Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory."""
-_FEWEST_ACROSS = 10
-"""Points that either side needs for the road to have a width."""
+_FEWEST_ACROSS = 10  # Points that either side needs for the road to have a width
 
 
 @dataclass(frozen=True)

@@ -20,31 +20,23 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit, shared_residuals
 from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
 
+# Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
+# narrow against wrong matches. The last one is that of the result.
 SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
-"""Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
-narrow against wrong matches. The last one is that of the result."""
-
+# Scales of the rounds before these where images tell each other their poses. Images that are
+# paired with a wrong pole are 20 to 35 sigmas from their neighbours, which from 12 on tears them
+# off instead of pulling them back (`docs/decisions/097-links-hold-before-they-tear.md`).
 _HOLDING = (48.0, 48.0, 24.0, 24.0)
-"""Scales of the rounds before these where images tell each other their poses. Images that are
-paired with a wrong pole are 20 to 35 sigmas from their neighbours, which from 12 on tears them off
-instead of pulling them back (`docs/decisions/097-links-hold-before-they-tear.md`)."""
-
+# One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
+# points tell little about the way along the road until the headings are right.
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
-"""One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
-points tell little about the way along the road until the headings are right."""
-
-_FEWEST = 12
-"""Shared points that must agree: the relative pose of two images has five numbers."""
-
+_FEWEST = 12  # Shared points that must agree: the relative pose of two images has five numbers
+# One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
+# of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`).
 _PIXEL_PX = 0.4
-"""One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
-of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`)."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
+_MEDIAN_OF_NORMAL = 0.6745  # Median of the absolute value of a standard normal variable
+# Share of shared points that tell something new: they lie on few things, seen by one lens
 _INDEPENDENT = 0.15
-"""Share of shared points that tell something new: they lie on few things, seen by one lens."""
 
 
 # A chain of Gaussian unknowns: what all but one of its members say about that one.
@@ -79,18 +71,13 @@ class Normal:
         return covariance @ self.right, 0.5 * (covariance + covariance.T)
 
 
+# Keeps a step short: what images share is far from linear along the road
 HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
-"""Keeps a step short: what images share is far from linear along the road."""
-
+# Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
+# what is usual for the six numbers of a pose
 _SOFT = 4.0 * POSED
-"""Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
-what is usual for the six numbers of a pose."""
-
-LENS = INSETS - POSED
-"""How many numbers of the lens images share: focal length and principal point."""
-
-_PLACE = np.array([ALONG, LATERAL])
-"""Numbers of the place on the road, whose error is the track's."""
+LENS = INSETS - POSED  # How many numbers of the lens images share: focal length and principal point
+_PLACE = np.array([ALONG, LATERAL])  # Numbers of the place on the road, whose error is the track's
 
 
 @dataclass(frozen=True)

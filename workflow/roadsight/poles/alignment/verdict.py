@@ -15,18 +15,13 @@ from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import ALONG, CX, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 
-_PIXELS_OF_A_SIDE = 10
-"""Edge pixels that a side of the road needs to count as seen."""
-
+_PIXELS_OF_A_SIDE = 10  # Edge pixels that a side of the road needs to count as seen
+# Slack in pixels at the end of the cloud's edges, as the kernel leaves at the ends of a piece
 _BEYOND_PX = 2.0
-"""Slack in pixels at the end of the cloud's edges, as the kernel leaves at the ends of a piece."""
-
-_BEHIND_M = 1.0
-"""Points less far in front of the camera have no row, as in the kernel."""
-
+_BEHIND_M = 1.0  # Points less far in front of the camera have no row, as in the kernel
+# A cloud that ends nearer leaves so little to judge by that a heading passes which its expectation
+# has a degree off: 12 of 12 generated images at 15 m. From 25 m on as few pass as by all pixels.
 _SHORTEST_M = 20.0
-"""A cloud that ends nearer leaves so little to judge by that a heading passes which its expectation
-has a degree off: 12 of 12 generated images at 15 m. From 25 m on as few pass as by all pixels."""
 
 
 def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> float:
@@ -85,8 +80,8 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     return edge_doubt(task, fits[0], limits) or pose_doubt(task, fits, limits)
 
 
+# Doubts about edges that were compared: those of the image may be of something else
 OTHER_THINGS = ("the edges of image and road disagree", "the edges fit badly")
-"""Doubts about edges that were compared: those of the image may be of something else."""
 
 
 def edge_doubt(task: Task, fit: Fit, limits: Limits) -> str:
@@ -268,17 +263,11 @@ def with_shared_edges(fit: Fit, task: Task) -> Fit:
 # Whether a dense alignment can be trusted, and if not, why.
 
 TOO_LITTLE = "too little of the cloud is in view"
-
 UNHELD = "the image does not hold the pose: its uncertainty is not finite"
-
 AT_BOUND = "the pose is at the bound of the search"
-
 NO_LEAD = "the best pose fits hardly better than random ones: image and cloud may be of two places"
-
 AMBIGUOUS = "ambiguous: two poses fit about as well"
-
 VAGUE_HEADING = "the heading is too uncertain"
-
 VAGUE_PLACE = "the place across the road is too uncertain"
 
 

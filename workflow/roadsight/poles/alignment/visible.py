@@ -18,9 +18,10 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled
 from roadsight.poles.images import evidence
 
+# Kinds of samples: sides, tops and feet of things, markings, ground, raised surfaces, upright and
+# level edges of brightness
 SIDE, TOP, FOOT, MARK, FLAT, TALL, BRIGHT_SIDE, BRIGHT_TOP = range(8)
-"""Kinds of samples: sides, tops and feet of things, markings, ground, raised surfaces, upright and
-level edges of brightness."""
+# Field of the image that a kind looks up
 FIELD_OF: Ints = np.array(
     [
         evidence.UPRIGHT,
@@ -34,24 +35,19 @@ FIELD_OF: Ints = np.array(
     ],
     np.int64,
 )
-"""Field of the image that a kind looks up."""
+# Farther returns are not used: at 80 m a cell of 3 px is 0.3 m wide, a lane's line is lost
 FARTHEST_M = 80.0
-"""Farther returns are not used: at 80 m a cell of 3 px is 0.3 m wide, a lane's line is lost."""
-_NEAREST_M = 2.0
-"""Nearer returns are of the vehicle itself."""
+_NEAREST_M = 2.0  # Nearer returns are of the vehicle itself
+# Width of a cell. Narrower ones leave gaps between the beams of a 64-channel scanner at 20 m.
 _CELL_PX = 3.0
-"""Width of a cell. Narrower ones leave gaps between the beams of a 64-channel scanner at 20 m."""
-_REACH = 3
-"""Cells that a look sideways passes at most: sparse returns leave empty ones between."""
+_REACH = 3  # Cells that a look sideways passes at most: sparse returns leave empty ones between
+# Ground is compared in intensity within squares this wide: wider than a line, narrower than a lane
 _CONTRAST_CELL_M = 1.5
-"""Ground is compared in intensity within squares this wide: wider than a line, narrower than a
-lane."""
-_FEWEST = 20
-"""Returns that a square needs for its spread of intensity."""
+_FEWEST = 20  # Returns that a square needs for its spread of intensity
+# A marking is so many robust standard deviations brighter than the ground around
 _MARK_CONTRAST = 3.0
-"""A marking is so many robust standard deviations brighter than the ground around."""
+# Returns within this of the terrain model are ground; its error on roads is about 0.05 m
 _GROUND_M = 0.2
-"""Returns within this of the terrain model are ground; its error on roads is about 0.05 m."""
 
 
 @dataclass(frozen=True)

@@ -30,20 +30,15 @@ from roadsight.poles.alignment.pose import (
 )
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, search
 
-_HFOV_DEG = (8.0, 130.0)
-"""Horizontal fields of view that a camera on a vehicle may have."""
-_HEIGHT_M = (0.5, 5.0)
-"""Heights above the road that it may have."""
-_ANY_TURN_DEG = 60.0
-"""One standard deviation of the yaw of a side view of which nothing is known."""
-_SURE_PX = 0.01
-"""Least standard deviation of a principal point that is known; zero has no inverse."""
+_HFOV_DEG = (8.0, 130.0)  # Horizontal fields of view that a camera on a vehicle may have
+_HEIGHT_M = (0.5, 5.0)  # Heights above the road that it may have
+_ANY_TURN_DEG = 60.0  # One standard deviation of the yaw of a side view of which nothing is known
+_SURE_PX = 0.01  # Least standard deviation of a principal point that is known; zero has no inverse
+# Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)
 _FEWEST_PIXELS = 40
-"""Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)."""
-_MIDDLE = 0.75
-"""Share of half the road beyond which a line is no line at its edge."""
+_MIDDLE = 0.75  # Share of half the road beyond which a line is no line at its edge
+# Makes the task of one image from the expected unknowns and the inverse of their covariance
 Loader = Callable[[Floats, Floats], Task]
-"""Makes the task of one image from the expected unknowns and the inverse of their covariance."""
 
 
 @dataclass(frozen=True)

@@ -30,26 +30,21 @@ from roadsight.poles.alignment.pose import FOCAL, Spread
 from roadsight.poles.alignment.verdict import DenseLimits
 from roadsight.poles.calibration.calibration import Mount
 
+# Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)
 DenseLoader = Callable[[Floats, Floats], DenseTask]
-"""Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)."""
+# Images that tell the mount: what it is known by is their own sway, over the root of 12
 IMAGES = 12
-"""Images that tell the mount: what it is known by is their own sway, over the root of 12."""
+# What changes from image to image: the road's bank is left to the roll
 SPREAD = Spread(roll_deg=0.7)
-"""What changes from image to image: the road's bank is left to the roll."""
+# Yaw, pitch and roll that are tried: a blur of 16 px is 1.3 degrees at 720 px
 _AIMS_DEG = (np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 2.0))
-"""Yaw, pitch and roll that are tried: a blur of 16 px is 1.3 degrees at 720 px."""
-_AIMS_M = (-0.6, 0.0, 0.6)
-"""Heights that are tried, from that of a van's roof: 1.6 m is a car."""
-_COARSE_PX = 16.0
-"""Blur of that search."""
+_AIMS_M = (-0.6, 0.0, 0.6)  # Heights that are tried, from that of a van's roof: 1.6 m is a car
+_COARSE_PX = 16.0  # Blur of that search
+# Blurs of the joint rounds; before each the images see the cloud anew
 _PLAN_PX = (8.0, 4.0, 4.0, 2.0, 2.0)
-"""Blurs of the joint rounds; before each the images see the cloud anew."""
-_STEPS = 8
-"""Steps of a round at most."""
-_GAIN = 0.5
-"""Log-likelihood that a step must gain to be followed by another."""
-FEWEST = 3
-"""Images below which a drive has no mount of its own."""
+_STEPS = 8  # Steps of a round at most
+_GAIN = 0.5  # Log-likelihood that a step must gain to be followed by another
+FEWEST = 3  # Images below which a drive has no mount of its own
 
 
 def calibrate_dense(

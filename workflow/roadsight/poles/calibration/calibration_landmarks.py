@@ -55,25 +55,18 @@ from roadsight.poles.calibration.calibration_together import (
 )
 
 log = logging.getLogger(__name__)
-
+# Rounds at most; on the generated roads three suffice
+# (`docs/decisions/033-a-drive-is-solved-together.md`)
 _ROUNDS = 8
-"""Rounds at most; on the generated roads three suffice
-(`docs/decisions/033-a-drive-is-solved-together.md`)."""
-
-_SETTLED = 0.1
-"""Rounds end when the drive's mean moves by less than this, in standard deviations."""
-
+_SETTLED = 0.1  # Rounds end when the drive's mean moves by less than this, in standard deviations
+# Scales of the rounds, as of `mount_together`, where it is solved for how sure the lens is: on two
+# generated drives the sigmas are within 4 % of those of all rounds, in 0.4 of the time
 _LENS_SCALES = (12.0, 12.0, 6.0, 3.0, 3.0, 3.0)
-"""Scales of the rounds, as of `mount_together`, where it is solved for how sure the lens is: on two
-generated drives the sigmas are within 4 % of those of all rounds, in 0.4 of the time."""
-
+# Turn of a side view as a share of the field of view, where views are made to be stitched
 _STITCHED = 0.93
-"""Turn of a side view as a share of the field of view, where views are made to be stitched."""
-
+# One standard deviation of a side view's yaw when the view joins. The vote's own is far smaller,
+# but it rests on a lens that is still to be solved.
 _TURN_SIGMA_DEG = 0.5
-"""One standard deviation of a side view's yaw when the view joins. The vote's own is far smaller,
-but it rests on a lens that is still to be solved."""
-
 _Posed = tuple[Place, Task, Fit]
 
 
@@ -242,32 +235,16 @@ def _guesses(
 # The angle between two cameras is the same in every image, so every pole axis of a side view and
 # every column near its ray vote for one; wrong pairs scatter, right ones agree.
 
-_STEP_DEG = 0.02
-"""Step of the yaws whose votes are counted; the best one is refined afterwards."""
-
-_REACH_DEG = 10.0
-"""How far to either side of a guess yaws are tried."""
-
-_FARTHEST_M = 80.0
-"""Columns beyond this do not vote: more of them lie near every ray."""
-
-_GATE = 3.0
-"""Standard deviations by which rows of foot and top may differ."""
-
-_FEWEST = 6
-"""Votes that must agree on a yaw."""
-
-_WRONG = 0.5
-"""Share of the axes whose vote is astray, since their pole is no column of the cloud."""
-
-_APART_DEG = 0.6
-"""Yaws that differ by more are rivals of the best one, not its flank."""
-
+_STEP_DEG = 0.02  # Step of the yaws whose votes are counted; the best one is refined afterwards
+_REACH_DEG = 10.0  # How far to either side of a guess yaws are tried
+_FARTHEST_M = 80.0  # Columns beyond this do not vote: more of them lie near every ray
+_GATE = 3.0  # Standard deviations by which rows of foot and top may differ
+_FEWEST = 6  # Votes that must agree on a yaw
+_WRONG = 0.5  # Share of the axes whose vote is astray, since their pole is no column of the cloud
+_APART_DEG = 0.6  # Yaws that differ by more are rivals of the best one, not its flank
+# Log-likelihood by which the best yaw must lead its rivals, else the view stays unused
 _CLEARER = 6.0
-"""Log-likelihood by which the best yaw must lead its rivals, else the view stays unused."""
-
-_LEAST_SIGMA_DEG = 0.005
-"""Standard deviation that many votes do not get below."""
+_LEAST_SIGMA_DEG = 0.005  # Standard deviation that many votes do not get below
 
 
 def side_turns(
@@ -384,6 +361,7 @@ def _refined(turn_deg: float, table: Floats) -> tuple[float, float] | None:
 # A smooth road and a stiff vehicle leave a camera's height and roll almost as they are, a worn
 # road does not. What images may differ by decides how much each of them can lean on the others.
 
+# Unknowns that share a value of `Spread`, by its name: those that are estimated
 _NUMBERS = {
     "height_m": [HEIGHT],
     "yaw_deg": [YAW],
@@ -392,8 +370,7 @@ _NUMBERS = {
     "lane_inset_m": [INSETS, INSETS + 1],
     "border_inset_m": [INSETS + 2, INSETS + 3],
 }
-"""Unknowns that share a value of `Spread`, by its name: those that are estimated."""
-
+# Least spread of each, metres and degrees: with none, images could not differ at all
 _LEAST = {
     "height_m": 0.01,
     "yaw_deg": 0.05,
@@ -402,16 +379,10 @@ _LEAST = {
     "lane_inset_m": 0.01,
     "border_inset_m": 0.01,
 }
-"""Least spread of each, metres and degrees: with none, images could not differ at all."""
-
-_STEPS = 30
-"""Steps of expectation maximisation."""
-
-_KNOWN_IMAGES = 10.0
-"""How many images the expected spread counts as."""
-
+_STEPS = 30  # Steps of expectation maximisation
+_KNOWN_IMAGES = 10.0  # How many images the expected spread counts as
+# An image further from the mean than this, in standard deviations, does not widen the spread
 _FAR = 4.0
-"""An image further from the mean than this, in standard deviations, does not widen the spread."""
 
 
 def estimated_spread(fits: Sequence[Fit], mount: Mount, expected: Spread) -> Spread:

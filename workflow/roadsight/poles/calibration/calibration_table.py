@@ -18,8 +18,7 @@ from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS
 from roadsight.poles.alignment.solve import Fit, search
 from roadsight.poles.calibration.calibration import Loader, Mount, apart_from_centre, usable
 
-Key = tuple[str, int, int]
-"""Route, width and height of images that share a camera."""
+Key = tuple[str, int, int]  # Route, width and height of images that share a camera
 
 
 @dataclass(frozen=True)

@@ -47,15 +47,11 @@ from roadsight.poles.calibration.calibration import (
 )
 from roadsight.poles.calibration.calibration_table import DriveCalibration
 
+# Squared distance of an image from what all say, in standard deviations, at which it counts a
+# quarter: four times what is usual for so many unknowns
 _SOFT = 4.0 * SIZE
-"""Squared distance of an image from what all say, in standard deviations, at which it counts a
-quarter: four times what is usual for so many unknowns."""
-
-_FLAT = 1e-9
-"""Directions of an image's misfit this much flatter than the steepest tell nothing."""
-
-_LENS = np.array([FOCAL, CX])
-"""Unknowns of the lens, which all images have in common."""
+_FLAT = 1e-9  # Directions of an image's misfit this much flatter than the steepest tell nothing
+_LENS = np.array([FOCAL, CX])  # Unknowns of the lens, which all images have in common
 
 
 @dataclass(frozen=True)
@@ -180,25 +176,21 @@ def _misfit(own: Normal, step: Floats) -> float:
 # the point is follows from parts of the drive: left out in turn, they move it by what they are
 # worth.
 
+# Parts of a drive that are left out in turn. They differ in their columns, since all images that
+# show one share its error: on a street whose map is smeared by 0.2 m the point's sigma by parts is
+# 6 px, where the misfit alone says 1.3 and the point is 7 px off.
 _PARTS = 6
-"""Parts of a drive that are left out in turn. They differ in their columns, since all images that
-show one share its error: on a street whose map is smeared by 0.2 m the point's sigma by parts is
-6 px, where the misfit alone says 1.3 and the point is 7 px off."""
-
+# What is left of a lens's bending at the image's sides, one standard deviation: images taken for
+# rectified are so to some tenths of a pixel. A principal point moves what is there by its shift
+# times (half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22
+# degrees, where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma.
 _BENT_PX = 0.3
-"""What is left of a lens's bending at the image's sides, one standard deviation: images taken for
-rectified are so to some tenths of a pixel. A principal point moves what is there by its shift times
-(half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22 degrees,
-where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma."""
-
+# Turn of the camera from which an open principal point is told: the limit of a right heading
 _MATTERS_DEG = 0.1
-"""Turn of the camera from which an open principal point is told: the limit of a right heading."""
-
+# Standard deviations by which the point must be off the middle to be taken from the drive
 _TOLD = 2.0
-"""Standard deviations by which the point must be off the middle to be taken from the drive."""
-
+# Mount of a drive from its images and what is known of it beforehand
 Solver = Callable[[Sequence[Tied], Mount], Mount]
-"""Mount of a drive from its images and what is known of it beforehand."""
 
 
 def told_centre(
@@ -327,12 +319,10 @@ def _part(one: Tied, fit: Fit, kept: np.ndarray) -> Fit:
 # A drive's calibration with what its images tell each other.
 
 log = logging.getLogger(__name__)
-
+# Pixels (n, 4) that two images share, by the names of both
 Shared = Mapping[tuple[str, str], Floats]
-"""Pixels (n, 4) that two images share, by the names of both."""
-
+# Places in the order of travel, each with the pixels (n, 4) that it shares with the next one
 Chain = list[tuple[Place, Floats]]
-"""Places in the order of travel, each with the pixels (n, 4) that it shares with the next one."""
 
 
 def in_order(places: Sequence[Place], shared: Shared) -> Chain:

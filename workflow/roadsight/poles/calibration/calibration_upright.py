@@ -25,40 +25,29 @@ from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spr
 from roadsight.poles.alignment.solve import Task
 from roadsight.poles.calibration.calibration import Loader, Mount
 
-_LEAN_DEG = 1.5
-"""One standard deviation of a pole's own lean."""
-_FEWEST_AXES = 20
-"""Axes that roll needs; with fewer, a few leaning trunks would decide."""
-_LEAST_SIGMA_DEG = 0.3
-"""Standard deviation that this roll is given, however many axes there are."""
-_FARTHEST_M = 50.0
-"""Columns beyond this are not paired: more of them lie near every ray."""
-_CLUTTER = 0.5
-"""Share of the axes that are no column of the cloud."""
+_LEAN_DEG = 1.5  # One standard deviation of a pole's own lean
+_FEWEST_AXES = 20  # Axes that roll needs; with fewer, a few leaning trunks would decide
+_LEAST_SIGMA_DEG = 0.3  # Standard deviation that this roll is given, however many axes there are
+_FARTHEST_M = 50.0  # Columns beyond this are not paired: more of them lie near every ray
+_CLUTTER = 0.5  # Share of the axes that are no column of the cloud
+# Range of bearings, centred on an axis, in which its column is looked for and in which an axis
+# without one may lie anywhere
 _RANGE_RAD = np.radians(40.0)
-"""Range of bearings, centred on an axis, in which its column is looked for and in which an axis
-without one may lie anywhere."""
+# Width of a match, one standard deviation, when the search starts: it must bridge a step of the
+# grid
 _COARSE_RAD = np.radians(0.8)
-"""Width of a match, one standard deviation, when the search starts: it must bridge a step of the
-grid."""
-_FINE_RAD = np.radians(0.25)
-"""The same in the last round: each image still sways about the mean."""
+_FINE_RAD = np.radians(0.25)  # The same in the last round: each image still sways about the mean
+# Rounds in which the width shrinks from the coarse to the fine one, by the same factor each
 _ROUNDS = 25
-"""Rounds in which the width shrinks from the coarse to the fine one, by the same factor each."""
-_IMAGES = 20
-"""Images that the coarse search looks at; its time grows with them."""
+_IMAGES = 20  # Images that the coarse search looks at; its time grows with them
+# Axes with a possible column before the search, and pairs believed after it, that are needed
 _FEWEST_PAIRS = 30
-"""Axes with a possible column before the search, and pairs believed after it, that are needed."""
-_INDEPENDENT = 0.1
-"""Share of the pairs that tell something new."""
-_FRONT = 0
-"""Number of the front view in `VIEWS`."""
-_YAW_DEG = np.arange(-4.0, 4.1, 0.5)
-"""Yaws that the coarse search adds to the expected one."""
-_PLACE_M = np.arange(-2.0, 2.1, 1.0)
-"""Places, along and across, that it adds."""
+_INDEPENDENT = 0.1  # Share of the pairs that tell something new
+_FRONT = 0  # Number of the front view in `VIEWS`
+_YAW_DEG = np.arange(-4.0, 4.1, 0.5)  # Yaws that the coarse search adds to the expected one
+_PLACE_M = np.arange(-2.0, 2.1, 1.0)  # Places, along and across, that it adds
+# Logarithms of the focal length that it adds: a tenth to either side
 _FOCAL = np.array([-0.10, -0.05, 0.0, 0.05, 0.10])
-"""Logarithms of the focal length that it adds: a tenth to either side."""
 _Pairs = tuple[Task, Floats, Floats, Ints, Floats]
 
 

@@ -17,21 +17,14 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import attitude_deg, wrap_deg
 from roadsight.poles.alignment.pose import FOCAL, UNKNOWNS, Start
 
-FEWEST_PAIRS = 4
-"""Seven unknowns, two numbers of each pair."""
-
-_HFOVS_DEG = (8.0, 120.0)
-"""Horizontal fields of view from which starts are made."""
-
+FEWEST_PAIRS = 4  # Seven unknowns, two numbers of each pair
+_HFOVS_DEG = (8.0, 120.0)  # Horizontal fields of view from which starts are made
+# One standard deviation of the log focal length about that of 60 degrees: it decides only where
+# the pairs do not
 _LOG_FOCAL_SIGMA = 1.0
-"""One standard deviation of the log focal length about that of 60 degrees: it decides only where
-the pairs do not."""
-
-_PIXEL_PX = 2.0
-"""One standard deviation of a click."""
-
+_PIXEL_PX = 2.0  # One standard deviation of a click
+# Starts that are refined, those that fit best: the best one may lead to a worse minimum
 _STARTS = 5
-"""Starts that are refined, those that fit best: the best one may lead to a worse minimum."""
 
 
 @dataclass(frozen=True)
@@ -234,12 +227,11 @@ def _turn_per_rotvec(rotvec: Floats) -> Floats:
 
 # An image differs from the drive by the track's error and the vehicle's sway: a baseline of few
 # images is no better than that.
+# Along, lateral, height (m), yaw, pitch, roll (degrees) and log focal length: the spread of a
+# drive's images (`Spread`), but for the lens, which does not change
 _SWAY = np.array([1.0, 1.0, 0.07, 0.5, 0.5, 0.3, 0.0])
-"""Along, lateral, height (m), yaw, pitch, roll (degrees) and log focal length: the spread of a
-drive's images (`Spread`), but for the lens, which does not change."""
-
+# Least standard deviations of a baseline in the same order
 _LEAST = np.array([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.002])
-"""Least standard deviations of a baseline in the same order."""
 
 
 def mounted(found: Registration, start: Start) -> tuple[Floats, Floats]:

@@ -19,37 +19,19 @@ from roadsight.poles.images.plumb_line import doubt, fit_lens
 from roadsight.scene.terrain.tin import Height, hidden_road_share
 
 Picture = Callable[[str], Bytes]
-
-EYE_M = 2.2
-"""Height of a camera above the road; what is known before any calibration."""
-
-REACH_M = 240.0
-"""How far ahead road counts: the reach of the alignment by default."""
-
+EYE_M = 2.2  # Height of a camera above the road; what is known before any calibration
+REACH_M = 240.0  # How far ahead road counts: the reach of the alignment by default
+# Horizontal fields of view for which the roadside is measured: a site's own one then changes the
+# decision, not the profile
 FIELDS_DEG = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0, 110.0)
-"""Horizontal fields of view for which the roadside is measured: a site's own one then changes the
-decision, not the profile."""
-
-_CAMERAS = 60
-"""Cameras that the hidden road is estimated from, spread over all drives."""
-
-_PICTURES = 120
-"""Images of a drive that its lens is measured in."""
-
-_ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
-"""Offsets from the track at which poles may stand."""
-
-_ROADSIDE_STEP_M = 4.0
-"""Distance between places along the track."""
-
-_ROAD_M = (3.0,)
-"""Offsets of the road's edges from the track, before any edge is known."""
-
+_CAMERAS = 60  # Cameras that the hidden road is estimated from, spread over all drives
+_PICTURES = 120  # Images of a drive that its lens is measured in
+_ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)  # Offsets from the track at which poles may stand
+_ROADSIDE_STEP_M = 4.0  # Distance between places along the track
+_ROAD_M = (3.0,)  # Offsets of the road's edges from the track, before any edge is known
+# Range within which images measure a pole: the reach of the triangulation by default
 _NEAR_M = 40.0
-"""Range within which images measure a pole: the reach of the triangulation by default."""
-
-_VIEWS = 3
-"""Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)."""
+_VIEWS = 3  # Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)
 
 
 def evenly(count: int, most: int) -> Ints:
@@ -225,17 +207,14 @@ def left_out_share(
 
 # Upright outlines in an image: edges of poles, posts, trunks and walls, to part of a pixel.
 
+# Standard deviation of the blur: less follows the noise, more joins the sides of thin posts
 _BLUR_PX = 1.0
-"""Standard deviation of the blur: less follows the noise, more joins the sides of thin posts."""
-
+# Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel
 _LEAST_STEP = 40.0
-"""Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel."""
-
+# An outline's step across must be this many times that along: within 18 degrees of upright
 _UPRIGHT = 3.0
-"""An outline's step across must be this many times that along: within 18 degrees of upright."""
-
+# Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer
 _SHARE_OF_ROWS = 0.95
-"""Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer."""
 
 
 def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:

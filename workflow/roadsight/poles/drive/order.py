@@ -9,8 +9,8 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats
 
+# Share of steps between rows of a table in which a measure falls where the drive is against it
 _CLEAR = 0.9
-"""Share of steps between rows of a table in which a measure falls where the drive is against it."""
 _EXIF_DATE = re.compile(r"(\d{4}):(\d\d):(\d\d)")
 
 

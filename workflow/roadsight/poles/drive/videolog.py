@@ -19,23 +19,13 @@ from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.cameras import azimuth_deg, compass_deg
 
 OK = "ok"
-
-_FEW = 2
-"""Places in a row that may be strays; more of them are a drive of their own."""
-
+_FEW = 2  # Places in a row that may be strays; more of them are a drive of their own
+# Share of places at which a track in random order turns back: about half; a drive at almost none
 _MOST = 0.4
-"""Share of places at which a track in random order turns back: about half; a drive at almost none.
-"""
-
+# A size with fewer images than this, and less than a fifth of the usual size's, is not calibrated
 _RARE_SIZE = 20
-"""A size with fewer images than this, and less than a fifth of the usual size's, is not
-calibrated."""
-
-_STANDING_M = 0.5
-"""Shorter steps are those of a vehicle that stands, see `headings_deg`."""
-
-_JUMP_M, _JUMP_FACTOR = 50.0, 5.0
-"""A step above both this and so many median steps is a jump."""
+_STANDING_M = 0.5  # Shorter steps are those of a vehicle that stands, see `headings_deg`
+_JUMP_M, _JUMP_FACTOR = 50.0, 5.0  # A step above both this and so many median steps is a jump
 
 
 @dataclass(frozen=True)
@@ -300,14 +290,10 @@ def _check_any(frames: pd.DataFrame) -> None:
 
 # Headings along a videolog's track of noisy positions.
 
-STANDING_M = 0.5
-"""Steps below this are standing still: their direction is noise."""
-
+STANDING_M = 0.5  # Steps below this are standing still: their direction is noise
+# Side of the square within which a standing camera's positions wander: GPS noise of 2 to 3 m
 WANDERING_M = 10.0
-"""Side of the square within which a standing camera's positions wander: GPS noise of 2 to 3 m."""
-
-_ROUNDS = 5
-"""Fits of each parabola, each with weights from the one before."""
+_ROUNDS = 5  # Fits of each parabola, each with weights from the one before
 
 
 def steps_m(xy_m: ArrayLike) -> Floats:

@@ -14,13 +14,11 @@ import numpy as np
 from roadsight.base.arrays import Bools, Bytes, Floats32
 from roadsight.poles.images.kinds import PixelClass
 
+# Fields: upright edges, level edges, markings, ground, things above it
 UPRIGHT, LEVEL, MARKED, GROUND, RAISED = range(5)
-"""Fields: upright edges, level edges, markings, ground, things above it."""
-FIELDS = 5
-"""How many fields there are."""
-
-_GROUND = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
-"""Classes that are always ground."""
+FIELDS = 5  # How many fields there are
+_GROUND = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)  # Classes that are always ground
+# Classes that always stand above ground; vegetation may be a lawn
 _RAISED = (
     PixelClass.POLE,
     PixelClass.SIGN,
@@ -29,23 +27,22 @@ _RAISED = (
     PixelClass.GUARDRAIL,
     PixelClass.TREE,
 )
-"""Classes that always stand above ground; vegetation may be a lawn."""
+# Wider images are looked at in this width. All scales were measured on 1,242 px images; memory and
+# time of wider ones would only grow.
 _WIDEST_PX = 1400
-"""Wider images are looked at in this width. All scales were measured on 1,242 px images; memory and
-time of wider ones would only grow."""
+# Share of samples whose edge the image does not show (shadow side, leaves); not tuned
 _CHANCE = 0.5
-"""Share of samples whose edge the image does not show (shadow side, leaves); not tuned."""
+# The neighbourhood of an edge is this many blurs wide: in clutter an edge then tells nothing
 _AROUND = 6.0
-"""The neighbourhood of an edge is this many blurs wide: in clutter an edge then tells nothing."""
+# Share of pixels with a wrong class that a surface allows for; networks err by about that
 _WRONG_CLASS = 0.1
-"""Share of pixels with a wrong class that a surface allows for; networks err by about that."""
+# Edges count up to this multiple of the mean gradient around: neither a sunlit facade nor the
+# border of a shadow then outweighs the rest
 _STRONGEST = 4.0
-"""Edges count up to this multiple of the mean gradient around: neither a sunlit facade nor the
-border of a shadow then outweighs the rest."""
+# Width of the neighbourhood that an edge's strength is relative to, one standard deviation
 _LOCAL_PX = 20.0
-"""Width of the neighbourhood that an edge's strength is relative to, one standard deviation."""
+# Wider blurs are made on a smaller image, which is faster and differs by less than 1 %
 _SMALL_PX = 6.0
-"""Wider blurs are made on a smaller image, which is faster and differs by less than 1 %."""
 
 
 def edge_maps(grey: Bytes) -> tuple[Floats32, Floats32]:

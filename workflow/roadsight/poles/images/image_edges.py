@@ -22,26 +22,16 @@ from roadsight.poles.images.lanes import (
     without_specks,
 )
 
-LANE = "lane"
-"""Kind of a point on a painted line."""
-
-BORDER = "border"
-"""Kind of a point on the road's border."""
-
+LANE = "lane"  # Kind of a point on a painted line
+BORDER = "border"  # Kind of a point on the road's border
+# Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts
 _BLUR_PX = 5
-"""Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts."""
-
-_MARGIN = 0.15
-"""Share of the road's width by which the dividing line stays away from its borders."""
-
-_ROWS_OF_A_LINE = 12
-"""Rows with two markings that a line half-way between them needs."""
-
+_MARGIN = 0.15  # Share of the road's width by which the dividing line stays away from its borders
+_ROWS_OF_A_LINE = 12  # Rows with two markings that a line half-way between them needs
+# How much farther from the border than usual a point of an edge line lies at most
 _EDGE_SPREAD = 1.5
-"""How much farther from the border than usual a point of an edge line lies at most."""
-
+# The same in pixels, beside that: of the mask's border and of the line's centre
 _EDGE_SLACK_PX = 2.0
-"""The same in pixels, beside that: of the mask's border and of the line's centre."""
 
 
 def _table(*classes: PixelClass) -> Bytes:
@@ -52,7 +42,6 @@ def _table(*classes: PixelClass) -> Bytes:
 
 # What a road's border encloses.
 _ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
-
 # Against these the road's border is not traced: they stand in front of it, or it drops out of
 # sight; a kerb is an edge by its own centre-line.
 _OCCLUDERS = _table(
@@ -337,11 +326,8 @@ def _nearest_road(line: Bytes, start: int, reach: int) -> int:
 
 # 1 for the classes over which the road runs on.
 _OPEN = np.zeros(256, np.uint8)
-
 _OPEN[[PixelClass.ROAD, PixelClass.MARKING]] = 1
-
-_KERB = int(PixelClass.KERB)
-"""As a plain number, for comparisons with masks."""
+_KERB = int(PixelClass.KERB)  # As a plain number, for comparisons with masks
 
 
 def on_nearest_border(

@@ -14,26 +14,18 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
+# Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
+# a fifth more right matches than with 1500 (at 0.8 of the second nearest one's distance).
 _FEATURES = 3000
-"""Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
-a fifth more right matches than with 1500 (at 0.8 of the second nearest one's distance)."""
-
-_CONTRAST = 0.02
-"""Half of OpenCV's threshold: fields and asphalt have little contrast."""
-
+_CONTRAST = 0.02  # Half of OpenCV's threshold: fields and asphalt have little contrast
+# A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8, with
+# which a third of a wide lens's matches are wrong, most of them by a few pixels: the next branch.
 _CLEARER = 0.7
-"""A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8, with
-which a third of a wide lens's matches are wrong, most of them by a few pixels: the next branch."""
-
+# How many times larger the next image may show a thing. Things come nearer along a road; a size is
+# measured to some tenths.
 _LARGER = (0.7, 4.0)
-"""How many times larger the next image may show a thing. Things come nearer along a road; a size is
-measured to some tenths."""
-
-_FARTHEST_M = 40.0
-"""Images further apart show the same things too differently."""
-
-_STANDING_M = 0.3
-"""Images nearer than this have no baseline that a direction could be told from."""
+_FARTHEST_M = 40.0  # Images further apart show the same things too differently
+_STANDING_M = 0.3  # Images nearer than this have no baseline that a direction could be told from
 
 
 @dataclass(frozen=True)
@@ -122,30 +114,20 @@ def consecutive(
 # plane; so every match votes for a yaw, right ones for one. Nothing but the poses of the front
 # view is needed: no pole, no cloud.
 
+# Width of the bins in which votes are counted: wider than the votes' scatter of 0.2
 _STEP_DEG = 0.5
-"""Width of the bins in which votes are counted: wider than the votes' scatter of 0.2."""
-
-_REFINED_DEG = 1.0
-"""Votes within this of the best bin are averaged."""
-
-_RIVAL_DEG = 2.0
-"""Bins that are farther from the best one are its rivals."""
-
+_REFINED_DEG = 1.0  # Votes within this of the best bin are averaged
+_RIVAL_DEG = 2.0  # Bins that are farther from the best one are its rivals
+# Weight of the best yaw over that of its best rival, else the yaw stays unknown. On the generated
+# rural road it is 10 at least for either side, in every sixth place.
 _CLEARER_SIDE_MATCHES = 3.0
-"""Weight of the best yaw over that of its best rival, else the yaw stays unknown. On the generated
-rural road it is 10 at least for either side, in every sixth place."""
-
-_FEWEST = 12
-"""Votes that must agree on a yaw."""
-
+_FEWEST = 12  # Votes that must agree on a yaw
+# Standard deviation that many votes do not get below: errors of poses are shared
 _LEAST_SIGMA_DEG = 0.02
-"""Standard deviation that many votes do not get below: errors of poses are shared."""
-
+# Standard deviation over median absolute deviation, of a normal distribution
 _SIGMA_PER_MAD = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
-
+# Sine of the angle at which a ray passes through its plane, above which a vote weighs no more
 _SHARPEST = 0.3
-"""Sine of the angle at which a ray passes through its plane, above which a vote weighs no more."""
 
 
 @dataclass(frozen=True)

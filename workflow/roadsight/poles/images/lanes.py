@@ -15,22 +15,15 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import EdgeTracing
 
-PUBLISHED_HEIGHT_PX = 1200
-"""Height of the study's images, for which its thresholds in pixels hold."""
-_MAX_MIDDLE_LINES = 4
-"""Middle lines that are taken out at most; a double line has two."""
+PUBLISHED_HEIGHT_PX = 1200  # Height of the study's images, for which its thresholds in pixels hold
+_MAX_MIDDLE_LINES = 4  # Middle lines that are taken out at most; a double line has two
+# Where a middle line lies, as a share of the road's width from the left
 _MIDDLE_THIRD = (0.35, 0.65)
-"""Where a middle line lies, as a share of the road's width from the left."""
-_STRETCH_POINTS = 10
-"""Points that a straight stretch of a curve needs."""
-_LINE_ROUNDS = 12
-"""Rounds of reweighting for least absolute errors."""
-
-
+_STRETCH_POINTS = 10  # Points that a straight stretch of a curve needs
+_LINE_ROUNDS = 12  # Rounds of reweighting for least absolute errors
+# Rows with three or more markings that a middle line needs; px of an image 1200 px high
 _DENSE_ROWS_PX = 20.0
-"""Rows with three or more markings that a middle line needs; px of an image 1200 px high."""
-_WIDEST_PX = 120.0
-"""Thicker runs are no lines; px of such an image."""
+_WIDEST_PX = 120.0  # Thicker runs are no lines; px of such an image
 
 
 def scale_of(height_px: int) -> float:

@@ -14,28 +14,21 @@ from roadsight.base.arrays import Bools, Bytes, Floats32
 from roadsight.base.errors import InputError
 from roadsight.poles.images.kinds import PixelClass
 
+# The network: input tensor (1, 3, h, w) to its used outputs
 Run = Callable[[Floats32], list[NDArray]]
-"""The network: input tensor (1, 3, h, w) to its used outputs."""
-
+# OpenCV's numbers of the ways to resize that a manifest may name
 _RESIZE = {
     "linear": cv2.INTER_LINEAR,
     "area": cv2.INTER_AREA,
     "cubic": cv2.INTER_CUBIC,
     "nearest": cv2.INTER_NEAREST,
 }
-"""OpenCV's numbers of the ways to resize that a manifest may name."""
-
-FULL_SCALE = 65535
-"""Greatest value of a 16-bit map."""
-
+FULL_SCALE = 65535  # Greatest value of a 16-bit map
+# Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m
 METRIC_NEAREST_M = 0.5
-"""Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m."""
-
-_LEAST_CONTRAST = 1e-3
-"""A map that varies by less than this share of its values is constant."""
-
+_LEAST_CONTRAST = 1e-3  # A map that varies by less than this share of its values is constant
+# Logarithms of proportions nearer than this are equal: a square image fits either way
 _SAME_PROPORTION = 1e-9
-"""Logarithms of proportions nearer than this are equal: a square image fits either way."""
 
 
 def tensor_of(image: Bytes, spec: Input, wanted_height_px: int = 0) -> Floats32:
@@ -230,27 +223,19 @@ def downward_trend(packed: NDArray[np.uint16]) -> float:
 # somebody else made.
 
 Label = Annotated[int, Field(ge=0, le=65534)]
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
 Number = Annotated[float, Field(allow_inf_nan=False)]
-
 Pixels = Annotated[int, Field(ge=1, le=16384)]
-
 Triple = tuple[Number, Number, Number]
-
-SILENT = np.uint8(255)
-"""Pixel about which a source says nothing."""
-
+SILENT = np.uint8(255)  # Pixel about which a source says nothing
+# Kinds of output that fit each task
 _KINDS = {
     "classes": ("logits", "labels", "query_masks"),
     "relative_depth": ("inverse_depth", "depth"),
     "metric_depth": ("inverse_depth", "depth"),
 }
-"""Kinds of output that fit each task."""
-
+# Numbers of the project classes by name
 _PROJECT_CLASSES = {entry.name.lower(): int(entry) for entry in PixelClass}
-"""Numbers of the project classes by name."""
 
 
 class _Section(BaseModel):

@@ -16,31 +16,22 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.lens import RadialLens
 
+# One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of action
+# cameras reach a third in k1
 _PRIOR = np.array([0.5, 0.05])
-"""One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of
-action cameras reach a third in k1."""
-_TRACED_PX = 0.15
-"""What tracing adds to the bow of a straight outline, one standard deviation."""
-_CROOKED = 0.002
-"""Bow of a straight thing as a share of its length: 2 mm in a metre."""
+_TRACED_PX = 0.15  # What tracing adds to the bow of a straight outline, one standard deviation
+_CROOKED = 0.002  # Bow of a straight thing as a share of its length: 2 mm in a metre
+# Values of k1 from which the best start is taken; the robust misfit may have several minima
 _SCAN = np.linspace(-0.4, 0.4, 161)
-"""Values of k1 from which the best start is taken; the robust misfit may have several minima."""
-_STEP = 1e-4
-"""Step of the numeric derivatives by k1 and k2."""
-_ROUNDS = 30
-"""Steps, and halvings of one step, at most."""
-_SCALE = 3.0
-"""Standard deviations beyond which a curve hardly counts."""
-_FEWEST = 8
-"""Curves that a lens needs, with any stretch of the drive left out, too."""
-_FEWEST_STRETCHES = 4
-"""Stretches that the jackknife needs."""
+_STEP = 1e-4  # Step of the numeric derivatives by k1 and k2
+_ROUNDS = 30  # Steps, and halvings of one step, at most
+_SCALE = 3.0  # Standard deviations beyond which a curve hardly counts
+_FEWEST = 8  # Curves that a lens needs, with any stretch of the drive left out, too
+_FEWEST_STRETCHES = 4  # Stretches that the jackknife needs
+# A lens that moves the corner by less than so many standard deviations may be none
 CERTAIN_SIGMAS = 3.0
-"""A lens that moves the corner by less than so many standard deviations may be none."""
-_GROUPS = 8
-"""Stretches of a drive, each left out once by the jackknife."""
-_TOLERANCE = 1e-6
-"""A step of k1 and k2 below this ends the descent."""
+_GROUPS = 8  # Stretches of a drive, each left out once by the jackknife
+_TOLERANCE = 1e-6  # A step of k1 and k2 below this ends the descent
 
 
 @dataclass(frozen=True)

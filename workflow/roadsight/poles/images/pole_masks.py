@@ -19,9 +19,8 @@ from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.kinds import KINDS, PixelClass
 from roadsight.poles.images.lanes import scale_of
 
-PUBLISHED_HEIGHT_PX = 1200
-"""Height of the study's images, for which its thresholds in pixels hold."""
-
+PUBLISHED_HEIGHT_PX = 1200  # Height of the study's images, for which its thresholds in pixels hold
+# Classes that hide a foot where they lie below it; plants may be grass, and are told apart
 _HIDERS = (
     PixelClass.VEHICLE,
     PixelClass.TREE,
@@ -29,17 +28,13 @@ _HIDERS = (
     PixelClass.SIGN,
     PixelClass.BUILDING,
 )
-"""Classes that hide a foot where they lie below it; plants may be grass, and are told apart."""
-
-_LINE_ROUNDS = 10
-"""Rounds of reweighting for least absolute errors."""
-
+_LINE_ROUNDS = 10  # Rounds of reweighting for least absolute errors
+# Pieces of one axis are joined over gaps up to this share of the longer one's height
 _JOIN_SHARE = 0.5
-"""Pieces of one axis are joined over gaps up to this share of the longer one's height."""
-
+# Height of the strip below a foot that tells what hides it; px of an image 1200 px high
 _FOOT_PX = 12.0
-"""Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
-
+# Classes for which the shipped network takes white panels. It takes green ones for road, which
+# also ends behind posts: with it, strays outweigh what is gained.
 _BOARDS = (
     PixelClass.OTHER,
     PixelClass.VEHICLE,
@@ -47,26 +42,16 @@ _BOARDS = (
     PixelClass.GUARDRAIL,
     PixelClass.SIGN,
 )
-"""Classes for which the shipped network takes white panels. It takes green ones for road, which
-also ends behind posts: with it, strays outweigh what is gained."""
-
-_COMPACT = 0.45
-"""Share of its box that a board fills; half of it is what a diamond does."""
-
-_ON_A_POST = 0.8
-"""Share of the rows below a board, as many as it has, in which its post is seen."""
-
-_POST_SHARE = 0.35
-"""Share of what is below a board that its post takes at most."""
-
+_COMPACT = 0.45  # Share of its box that a board fills; half of it is what a diamond does
+_ON_A_POST = 0.8  # Share of the rows below a board, as many as it has, in which its post is seen
+_POST_SHARE = 0.35  # Share of what is below a board that its post takes at most
+# Heights of a board by which its post may go on above it: utility poles go on above what hangs on
+# them, such as transformers. One that is not seen in most of the rows just above the board, half
+# as many as it has, begins higher up: a pole behind it.
 _POST_ABOVE = 1.0
-"""Heights of a board by which its post may go on above it: utility poles go on above what hangs on
-them, such as transformers. One that is not seen in most of the rows just above the board, half as
-many as it has, begins higher up: a pole behind it."""
-
+# Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
+# in a view of 20 degrees
 _POST_PX = 40.0
-"""Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
-in a view of 20 degrees."""
 
 
 @dataclass(frozen=True)
@@ -384,15 +369,11 @@ def _touches(piece: _Piece, mask: Bytes, other: PixelClass) -> bool:
 # Numbers in pixels are of an image 1200 px high and are scaled with the height. The authors'
 # labels are stored in 8 bits, so that the 257th component is the first again; here they are not.
 
-_WIDER_PX, _TALLER_PX = 10.0, 20.0
-"""A pole's box is wider and taller than this."""
-
+_WIDER_PX, _TALLER_PX = 10.0, 20.0  # A pole's box is wider and taller than this
+# Height over width from which a component is a pole as it is; below it, what is as long for its
+# width across its own axes is one after its wires are removed
 _ASPECT = 10.0
-"""Height over width from which a component is a pole as it is; below it, what is as long for its
-width across its own axes is one after its wires are removed."""
-
-_KERNEL_PX = 10
-"""Side of the square by which wires are removed."""
+_KERNEL_PX = 10  # Side of the square by which wires are removed
 
 
 def published_instances(mask: Bytes) -> list[Instance]:

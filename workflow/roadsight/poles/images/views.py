@@ -20,12 +20,10 @@ from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.geometry.lens import RadialLens
 
 ViewName = Literal["front", "left", "right"]
-
+# Views in the order in which they are looked at
 VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
-"""Views in the order in which they are looked at."""
-
+# Column of the frames that names each view's image
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
-"""Column of the frames that names each view's image."""
 
 
 @dataclass(frozen=True)
@@ -105,12 +103,9 @@ def straightened(image: NDArray, places: Floats, smooth: bool = False) -> NDArra
 # yaw: nothing is resampled; objects that cross a seam, or that two views show, become one
 # sighting.
 
-_SIGMAS = 3.0
-"""Standard deviations within which bearings and distances of one object agree."""
-
+_SIGMAS = 3.0  # Standard deviations within which bearings and distances of one object agree
+# Bearings of what the frame cuts in both views may differ by this: either view shows a part only
 _SEAM_DEG = 0.5
-"""Bearings of what the frame cuts in both views may differ by this: either view shows a part
-only."""
 
 
 @dataclass(frozen=True)
