@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
 from roadsight.geometry.cameras import wrap_deg
@@ -215,15 +215,15 @@ _LEAST_STEP = 40.0
 _UPRIGHT = 3.0
 # Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer
 _SHARE_OF_ROWS = 0.95
+_LEAST_HEIGHT = 0.3  # Lower ones are left out, as a share of the image's height
 
 
-def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
+def upright_curves(image: Bytes) -> list[Floats]:
     """Edges that run from row to row within about 18 degrees of upright.
 
     Parameters
     ----------
-    image : (rows, columns, 3) or (rows, columns). min_height : lower ones are left out, as a share
-        of the image's height.
+    image : (rows, columns, 3) or (rows, columns).
 
     Returns
     -------
@@ -235,17 +235,12 @@ def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
     curves = []
     for sign in (1.0, -1.0):
         step = np.maximum(sign * gu, 0.0)
-        ridge = _ridge(step) & (step > _LEAST_STEP) & (step > _UPRIGHT * np.abs(gv))
-        curves += _traced(ridge, step, min_height * image.shape[0])
+        # Where the step is greatest among its neighbours in the row.
+        ridge, middle = np.zeros(step.shape, bool), step[:, 1:-1]
+        ridge[:, 1:-1] = (middle > step[:, :-2]) & (middle >= step[:, 2:])
+        ridge &= (step > _LEAST_STEP) & (step > _UPRIGHT * np.abs(gv))
+        curves += _traced(ridge, step, _LEAST_HEIGHT * image.shape[0])
     return sorted(curves, key=lambda curve: (curve[0, 0], curve[0, 1], len(curve)))
-
-
-def _ridge(step: Floats32) -> Bools:
-    """Where the step is greatest among its neighbours in the row."""
-    ridge = np.zeros(step.shape, bool)
-    middle = step[:, 1:-1]
-    ridge[:, 1:-1] = (middle > step[:, :-2]) & (middle >= step[:, 2:])
-    return ridge
 
 
 def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
@@ -261,13 +256,9 @@ def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
         rows, columns = v[start:end], u[start:end]
         if end - start < least_px or len(np.unique(rows)) < _SHARE_OF_ROWS * (end - start):
             continue
-        curves.append(np.column_stack([_vertex(step, rows, columns), rows.astype(np.float64)]))
+        left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
+        bend = left - 2.0 * here + right
+        shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
+        vertex = columns + np.clip(shift, -0.5, 0.5)
+        curves.append(np.column_stack([vertex, rows.astype(np.float64)]))
     return curves
-
-
-def _vertex(step: Floats32, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """Columns where parabolas through three neighbours of a row are greatest."""
-    left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
-    bend = left - 2.0 * here + right
-    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
-    return columns + np.clip(shift, -0.5, 0.5)
