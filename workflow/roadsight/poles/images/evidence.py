@@ -45,6 +45,41 @@ _LOCAL_PX = 20.0
 _SMALL_PX = 6.0
 
 
+class ImageEvidence:
+    """Fields of one image at any blur; each is computed once.
+
+    Attributes
+    ----------
+    shape : rows and columns of the fields. scale : their pixels per pixel of the image, at most 1.
+
+    Parameters
+    ----------
+    grey : (h, w) photograph. classes : (h, w) `PixelClass`.
+    """
+
+    def __init__(self, grey: Bytes, classes: Bytes) -> None:
+        self.scale = min(_WIDEST_PX / grey.shape[1], 1.0)
+        if self.scale < 1.0:
+            size = _WIDEST_PX, max(round(grey.shape[0] * self.scale), 1)
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+            classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+        self.shape: tuple[int, int] = (grey.shape[0], grey.shape[1])
+        marked = (classes == PixelClass.MARKING).astype(np.float32)
+        self._edges = (*edge_maps(grey), marked)
+        ground, raised = np.isin(classes, _GROUND), np.isin(classes, _RAISED)
+        self._surfaces = ground, raised
+        self._known = ground | raised | (classes == PixelClass.SKY)
+        self._fields: dict[float, Floats32] = {}
+
+    def at(self, sigma_px: float) -> Floats32:
+        """Fields (`FIELDS`, h, w) at a blur of one standard deviation ``sigma_px``."""
+        if sigma_px not in self._fields:
+            edges = [edge_field(values, sigma_px) for values in self._edges]
+            surfaces = [surface_field(mask, self._known, sigma_px) for mask in self._surfaces]
+            self._fields[sigma_px] = np.stack([*edges, *surfaces])
+        return self._fields[sigma_px]
+
+
 def edge_maps(grey: Bytes) -> tuple[Floats32, Floats32]:
     """Thin edges of a photograph, split by the squared cosine into upright and level ones.
 
@@ -97,41 +132,6 @@ def surface_field(mask: Bools, known: Bools, sigma_px: float) -> Floats32:
     right = 1.0 - _WRONG_CLASS
     field = np.log((_WRONG_CLASS + right * share) / (_WRONG_CLASS + right * mean))
     return field.astype(np.float32)
-
-
-class ImageEvidence:
-    """Fields of one image at any blur; each is computed once.
-
-    Attributes
-    ----------
-    shape : rows and columns of the fields. scale : their pixels per pixel of the image, at most 1.
-
-    Parameters
-    ----------
-    grey : (h, w) photograph. classes : (h, w) `PixelClass`.
-    """
-
-    def __init__(self, grey: Bytes, classes: Bytes) -> None:
-        self.scale = min(_WIDEST_PX / grey.shape[1], 1.0)
-        if self.scale < 1.0:
-            size = _WIDEST_PX, max(round(grey.shape[0] * self.scale), 1)
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-            classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-        self.shape: tuple[int, int] = (grey.shape[0], grey.shape[1])
-        marked = (classes == PixelClass.MARKING).astype(np.float32)
-        self._edges = (*edge_maps(grey), marked)
-        ground, raised = np.isin(classes, _GROUND), np.isin(classes, _RAISED)
-        self._surfaces = ground, raised
-        self._known = ground | raised | (classes == PixelClass.SKY)
-        self._fields: dict[float, Floats32] = {}
-
-    def at(self, sigma_px: float) -> Floats32:
-        """Fields (`FIELDS`, h, w) at a blur of one standard deviation ``sigma_px``."""
-        if sigma_px not in self._fields:
-            edges = [edge_field(values, sigma_px) for values in self._edges]
-            surfaces = [surface_field(mask, self._known, sigma_px) for mask in self._surfaces]
-            self._fields[sigma_px] = np.stack([*edges, *surfaces])
-        return self._fields[sigma_px]
 
 
 def _blurred(values: Floats32, sigma_px: float) -> Floats32:

@@ -16,11 +16,8 @@ from typing import Literal
 Shape = Literal["stem", "panel", "crown", "line", "block"]
 
 
-# Classes of mask pixels, whatever the network's own labels are.
-
-
 class PixelClass(IntEnum):
-    """What a pixel shows."""
+    """What a pixel shows, whatever the network's own labels are."""
 
     OTHER = 0
     ROAD = 1

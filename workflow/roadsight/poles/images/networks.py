@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roadsight.base.arrays import Bools, Bytes, Floats32
+from roadsight.base.arrays import Bytes, Floats32
 from roadsight.base.errors import InputError
 from roadsight.poles.images.kinds import PixelClass
 
@@ -66,7 +66,10 @@ def class_mask(
         return manifest.lookup()[labels]
     scores = outputs[0][0]
     if manifest.output.kind == "query_masks":
-        scores = _query_scores(outputs[0][0], outputs[1][0])
+        shifted = np.exp(scores - scores.max(axis=1, keepdims=True))
+        shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
+        inside = 1.0 / (1.0 + np.exp(-np.clip(outputs[1][0], -60.0, 60.0)))
+        scores = np.tensordot(shares.T, inside, axes=1)
     if len(scores) != manifest.labels:
         raise InputError(
             "does not state as many labels as the network gives",
@@ -87,14 +90,6 @@ def _checked(found: NDArray, labels: Labels, where: str) -> NDArray[np.uint16]:
             allowed=f"0 to {(labels.labels or 0) - 1}, 2 axes",
         )
     return found.astype(np.uint16)
-
-
-def _query_scores(class_logits: Floats32, mask_logits: Floats32) -> Floats32:
-    """Scores (L, h, w) from (Q, L + 1) and (Q, h, w)."""
-    shifted = np.exp(class_logits - class_logits.max(axis=1, keepdims=True))
-    shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
-    inside = 1.0 / (1.0 + np.exp(-np.clip(mask_logits, -60.0, 60.0)))
-    return np.tensordot(shares.T, inside, axes=1)
 
 
 def _largest(scores: Floats32, shape: tuple[int, int]) -> NDArray[np.uint16]:
@@ -166,7 +161,7 @@ def merge_masks(masks: list[Bytes], sources: list[Labels]) -> Bytes:
     for mask, source in zip(masks, sources, strict=True):
         says = mask != SILENT
         if source.over is not None:
-            says &= source.replaceable()[merged]
+            says &= np.isin(merged, [_PROJECT_CLASSES[name] for name in source.over])
         np.copyto(merged, mask, where=says)
     return merged
 
@@ -218,7 +213,6 @@ def downward_trend(packed: NDArray[np.uint16]) -> float:
 
 
 # Manifests: what a network file expects and what its numbers mean (docs/poles/models.md).
-#
 # A manifest is a YAML file beside a model. A label map is its little sister for label images that
 # somebody else made.
 
@@ -266,14 +260,6 @@ class Labels(_Section):
         table = np.full(self.labels or max(self.classes, default=0) + 1, SILENT, np.uint8)
         for label, name in self.classes.items():
             table[label] = _PROJECT_CLASSES[name]
-        return table
-
-    def replaceable(self) -> Bools:
-        """Whether a project class of an earlier source may be replaced, by class number."""
-        if self.over is None:
-            return np.ones(256, bool)
-        table = np.zeros(256, bool)
-        table[[_PROJECT_CLASSES[name] for name in self.over]] = True
         return table
 
 
