@@ -19,6 +19,7 @@ from roadsight.poles.alignment.drift import DriftModel, axes
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit, shared_residuals
 from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
+from roadsight.poles.alignment.solve import MEDIAN_OF_NORMAL
 
 # Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
 # narrow against wrong matches. The last one is that of the result.
@@ -34,13 +35,11 @@ _FEWEST = 12  # Shared points that must agree: the relative pose of two images h
 # One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
 # of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`).
 _PIXEL_PX = 0.4
-_MEDIAN_OF_NORMAL = 0.6745  # Median of the absolute value of a standard normal variable
 # Share of shared points that tell something new: they lie on few things, seen by one lens
 _INDEPENDENT = 0.15
 
 
 # A chain of Gaussian unknowns: what all but one of its members say about that one.
-#
 # Every member has a prior, what it measured itself, and links with the next member. Messages run
 # along the chain once either way (Kalman filter and smoother in information form), so that a
 # drive of any length costs time and memory in proportion to its images.
@@ -124,7 +123,10 @@ def told_by_others(
     for scale in (*_HOLDING, *SCALES[:-1]):
         priors, own, links = _misfits(members, now, mean[0], spread, model, scale)
         priors = [one + HELD for one in priors]
-        others, weights = _weighed(priors, own, links, weights)
+        counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
+        others = others_say(priors, counted, links)
+        off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
+        weights = (1.0 / (1.0 + off / _SOFT)) ** 2
         steps = [(r + o.times(w)).least()[0] for r, o, w in zip(others, own, weights, strict=True)]
         now = [np.r_[x[:POSED] + step, x[POSED:]] for x, step in zip(now, steps, strict=True)]
     priors, own, links = _misfits(members, now, mean[0], spread, model, SCALES[-1])
@@ -159,23 +161,17 @@ def _misfits(
     nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
     priors = [swaying(x, mean, spread) for x in now]
     priors[0] = priors[0] + first_place(members[0], now[0], mean, model)
-    own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
+    measured = [member.measured or nothing for member in members]
+    own = [
+        Normal(one.matrix, one.right - one.matrix @ x[:POSED])
+        for one, x in zip(measured, now, strict=True)
+    ]
     links = []
     for pair, at in zip(pairwise(members), pairwise(now), strict=True):
         points = shared_points(pair, at, scale)
         alike = Normal(points.matrix[:-LENS, :-LENS], points.right[:-LENS])
         links.append(drifting(*pair, at, mean, model) + alike)
     return priors, own, links
-
-
-def _weighed(
-    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal], weights: Floats
-) -> tuple[list[Normal], Floats]:
-    """What others say with the weights so far, and the weights that follow from it."""
-    counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
-    others = others_say(priors, counted, links)
-    off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
-    return others, (1.0 / (1.0 + off / _SOFT)) ** 2
 
 
 def _rests_on_mean(
@@ -220,11 +216,6 @@ def _rests_on_mean(
     return found
 
 
-def _moved(one: Normal, at: Floats) -> Normal:
-    """Misfit of the step from a place instead of the place."""
-    return Normal(one.matrix, one.right - one.matrix @ at[:POSED])
-
-
 def swaying(at: Floats, mean: Floats, spread: Spread) -> Normal:
     """The vehicle about the drive's mean; where it is on the road is the track's matter."""
     weight = spread.vector()[:POSED] ** -2.0
@@ -267,19 +258,14 @@ def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale:
     origin = np.array([start.x_m, start.y_m, start.z_road_m])
     starts = start.vector(origin), other.place.start.vector(origin)
     residuals = shared_residuals(at, starts, one.shared, _PIXEL_PX)
-    sigma_px = _PIXEL_PX * _scatter(residuals, scale)
+    # How much coarser the points are than expected, from those that agree; never finer.
+    near = np.abs(residuals[np.abs(residuals) < scale])
+    usual = float(np.median(near)) / MEDIAN_OF_NORMAL if len(near) >= _FEWEST else 1.0
+    sigma_px = _PIXEL_PX * max(usual, 1.0)
     normal, gradient, residuals = shared_misfit(at, starts, one.shared, sigma_px, scale)
     if np.count_nonzero(np.abs(residuals) < scale) < _FEWEST:
         return nothing
     return Normal(_INDEPENDENT * normal, -_INDEPENDENT * gradient)
-
-
-def _scatter(residuals: Floats, scale: float) -> float:
-    """How much coarser the points are than expected, from those that agree; never finer."""
-    near = np.abs(residuals[np.abs(residuals) < scale])
-    if len(near) < _FEWEST:
-        return 1.0
-    return max(float(np.median(near)) / _MEDIAN_OF_NORMAL, 1.0)
 
 
 def pose_misfit(
@@ -307,9 +293,6 @@ def pose_misfit(
     ).T
 
 
-_Solved = tuple[Floats, Floats, Floats]
-
-
 def others_say(
     priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal]
 ) -> list[Normal]:
@@ -321,7 +304,11 @@ def others_say(
         (2 k, 2 k).
     """
     ahead = _swept(priors, own, links)
-    turned = [_swapped(link) for link in links[::-1]]
+    turned = []
+    for link in links[::-1]:
+        half = len(link.right) // 2
+        order = np.r_[half : 2 * half, :half]
+        turned.append(Normal(link.matrix[np.ix_(order, order)], link.right[order]))
     back = _swept(priors[::-1], own[::-1], turned)[::-1]
     return [a + p + b for a, p, b in zip(ahead, priors, back, strict=True)]
 
@@ -341,7 +328,9 @@ def _swept(
     return said
 
 
-def solve_bordered(members: Sequence[Normal], links: Sequence[Normal], border: Normal) -> _Solved:
+def solve_bordered(
+    members: Sequence[Normal], links: Sequence[Normal], border: Normal
+) -> tuple[Floats, Floats, Floats]:
     """Least misfit of a chain whose members share some numbers, such as those of one camera.
 
     Members are eliminated one by one, then found from the last to the first.
@@ -385,12 +374,6 @@ def eliminated(one: Normal, size: int) -> tuple[Normal, Normal]:
     matrix = one.matrix[size:, size:] - cross.T @ gain.matrix
     right = one.right[size:] - cross.T @ gain.right
     return Normal(0.5 * (matrix + matrix.T), right), gain
-
-
-def _swapped(link: Normal) -> Normal:
-    half = len(link.right) // 2
-    order = np.r_[half : 2 * half, :half]
-    return Normal(link.matrix[np.ix_(order, order)], link.right[order])
 
 
 def surprise(own: Normal, others: Normal) -> float:
