@@ -141,19 +141,14 @@ def align_dense(task: DenseTask) -> DenseFit:
         0.5 * trial @ prior @ trial - evaluate(task, samples, _WIDEST_PX, trial, False)[0]
         for trial in trials
     ]
-    chosen: list[Floats] = []
-    for number in np.argsort(costs, kind="stable"):
-        if all(np.abs((trials[number] - other) / unit).max() > _APART for other in chosen):
-            chosen.append(trials[number])
-        if len(chosen) == _CHOSEN:
-            break
-    first = [descend_dense(task, samples, _BLURS_PX[0], trial, 8) for trial in chosen]
+    chosen = _distinct(list(zip(costs, trials, strict=True)), unit, _APART, _CHOSEN)
+    first = [descend_dense(task, samples, _BLURS_PX[0], trial, 8) for _, trial in chosen]
     second = [
         descend_dense(task, gather(task, offsets).thinned(3), _BLURS_PX[1], offsets, 10)
-        for _, offsets in _distinct(first, unit, _CHOSEN // 2)
+        for _, offsets in _distinct(first, unit, _SAME, _CHOSEN // 2)
     ]
     last = []
-    for minimum in _distinct(second, unit, _CHOSEN // 4):
+    for minimum in _distinct(second, unit, _SAME, _CHOSEN // 4):
         found = minimum
         for _ in range(2):  # each time with what is seen from where the last descent ended
             found = descend_dense(task, gather(task, found[1]), FINEST_PX, found[1], 10)
@@ -173,12 +168,12 @@ def _starts() -> Floats:
 
 
 def _distinct(
-    found: list[tuple[float, Floats]], unit: Floats, count: int
+    found: list[tuple[float, Floats]], unit: Floats, apart: float, count: int
 ) -> list[tuple[float, Floats]]:
-    """The best minima that differ from each other."""
+    """The best that differ from each other in some unknown by more than a share of its unit."""
     kept: list[tuple[float, Floats]] = []
     for cost, offsets in sorted(found, key=lambda minimum: minimum[0]):
-        if all(np.abs((offsets - other) / unit).max() > _SAME for _, other in kept):
+        if all(np.abs((offsets - other) / unit).max() > apart for _, other in kept):
             kept.append((cost, offsets))
         if len(kept) == count:
             break

@@ -82,19 +82,9 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
             grade = _grade(path, z, k)
             road = roadway_at(edges, np.array([x_m, y_m, z_m]), heading[k], grade)
             width, height = int(row["width_px"]), int(row["height_px"])
+            tilt, middle = (road.grade, road.bank), ((width - 1) / 2, (height - 1) / 2)
             start = Start(
-                x_m,
-                y_m,
-                z_m,
-                road.heading_deg,
-                road.grade,
-                road.bank,
-                width,
-                height,
-                cx_px=(width - 1) / 2,
-                cy_px=(height - 1) / 2,
-                bend=road.bend,
-                hump=road.hump,
+                x_m, y_m, z_m, road.heading_deg, *tilt, width, height, *middle, road.bend, road.hump
             )
             found[int(number)] = Place(str(row["image"]), str(route), float(path[k]), start, line)
     return [found[number] for number in range(len(frames))]
