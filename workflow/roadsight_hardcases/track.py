@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from roadsight.base.arrays import Numbers
-from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 from roadsight.poles.drive.videolog import headings_deg, split_drives
@@ -65,7 +64,7 @@ def stray_position(rng: np.random.Generator) -> Errors:
     """One position that is 5 km off turns the images around it towards it."""
     xy = np.column_stack([8.0 * np.arange(30), np.zeros(30)])
     xy[15] += [300.0, 5000.0]
-    drives, stray_m = split_drives(xy, Videolog())
+    drives, stray_m = split_drives(xy)
     ours = np.concatenate([headings_deg(xy[drive])[0] for drive in drives])
     others = np.delete(np.arange(29), 15)
     missed = 180.0 * (stray_m[15] == 0 or len(ours) < 29)

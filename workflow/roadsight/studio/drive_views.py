@@ -20,7 +20,8 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.pose import CX, Pose, Start, pose_of
 from roadsight.poles.calibration.calibration import weak_mount
-from roadsight.poles.calibration.calibration_table import DriveCalibration, Key, from_content
+from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
+from roadsight.poles.drive.drive_lenses import Key
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import cam_from_world
-from roadsight.poles.alignment.dense import SIZE, score, turned
+from roadsight.poles.alignment.dense import SIZE, score
+from roadsight.poles.alignment.kernel import turned
 
 POSE = np.array([1.0, 2.0, 1.7, *np.radians([80.0, 1.0, -2.0])])
 LENS = np.array([300.0, 160.0, 60.0])

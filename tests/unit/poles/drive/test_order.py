@@ -9,8 +9,14 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Videolog
 from roadsight.io.images.videologs import ImageSource, read_videolog_table
-from roadsight.poles.drive.order import drive_order, seconds_of
-from roadsight.poles.drive.videolog import Site, build_frames, turning_back, wandering
+from roadsight.poles.drive.videolog import (
+    Site,
+    build_frames,
+    drive_order,
+    seconds_of,
+    turning_back,
+    wandering,
+)
 
 EAST = np.column_stack([8.0 * np.arange(12), np.zeros(12)])
 

@@ -296,18 +296,18 @@ def test_natural_order():
 
 def test_drives_and_strays():
     xy = np.column_stack([np.arange(30) * 8.0, np.zeros(30)])
-    drives, stray = split_drives(xy, Videolog())
+    drives, stray = split_drives(xy)
     assert [len(d) for d in drives] == [30] and not stray.any()
     far = xy.copy()
     far[15:, 1] += 500.0  # the vehicle went on elsewhere
-    drives, stray = split_drives(far, Videolog())
+    drives, stray = split_drives(far)
     assert [len(d) for d in drives] == [15, 15] and not stray.any()
     far = xy.copy()
     far[[0, 7, 8, 29], 1] += 300.0
-    drives, stray = split_drives(far, Videolog())
+    drives, stray = split_drives(far)
     assert np.flatnonzero(stray).tolist() == [0, 7, 8, 29]
     assert [len(d) for d in drives] == [26]
-    assert split_drives(np.empty((0, 2)), Videolog())[0] == []
+    assert split_drives(np.empty((0, 2)))[0] == []
 
 
 def test_road_height_comes_from_the_deck_of_a_bridge(site, wkt):

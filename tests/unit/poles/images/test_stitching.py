@@ -7,13 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, wrap_deg
-from roadsight.poles.images.views import (
-    ViewOffsets,
-    merge_views,
-    side_intrinsics,
-    stitched_picture,
-    turned,
-)
+from roadsight.poles.images.views import merge_views, side_intrinsics, turned
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, image_bearings
 
 
@@ -80,22 +74,6 @@ def test_two_poles_stay_two():
     assert len(kept(sighting("front", 10.0), sighting("right", 10.0, kind="sign"))) == 2
     assert len(kept(sighting("front", 10.0), sighting("right", 10.0, image="b"))) == 2
     assert len(kept(sighting("front", 10.0), sighting("right", 10.05), sighting("right", 9.6))) == 2
-
-
-def test_the_picture_shows_each_view_in_its_direction():
-    front = Intrinsics.from_field_of_view(400, 200, 60.0)
-    images = {
-        view: np.full((200, 400, 3), value, np.uint8)
-        for view, value in (("front", 200), ("left", 100), ("right", 50))
-    }
-    picture = stitched_picture(images, front, ViewOffsets(-60.0, 60.0), 900)
-    middle = picture[picture.shape[0] // 2, :, 0]
-    assert picture.shape[1] == 900
-    assert (middle[[150, 450, 750]] == [100, 200, 50]).all()
-    changes = np.flatnonzero(np.diff(middle.astype(int)))
-    assert np.allclose(changes, [300, 600], atol=2)
-    alone = stitched_picture({"front": images["front"]}, front, ViewOffsets(), 300)
-    assert alone[alone.shape[0] // 2].min() == 200
 
 
 def test_side_views_of_another_size_keep_the_field_of_view_down():

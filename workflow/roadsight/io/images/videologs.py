@@ -17,7 +17,7 @@ from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 from roadsight.io.records.text_tables import read_cells
-from roadsight.poles.drive.order import drive_order, seconds_of
+from roadsight.poles.drive.videolog import drive_order, seconds_of
 
 log = logging.getLogger(__name__)
 

@@ -16,66 +16,39 @@ import numpy as np
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.kernels import compiled
 from roadsight.geometry.cameras import cam_from_world
+from roadsight.poles.alignment.kernel import DEGREE, turned
 from roadsight.poles.alignment.visible import FIELD_OF, SceneCloud, visible_samples
 from roadsight.poles.images.evidence import ImageEvidence
 
-YAW, PITCH = 3, 4
-"""Numbers of two of the unknowns: along, lateral, up (m), yaw, pitch, roll (degrees)."""
-
+# What a sample of each kind (`visible`) counts: neighbours repeat each other. Of surfaces 0.02 to
+# 0.003 does as well within one image of 25, 0.1 lets wrong classes pull roll and pitch; all
+# weights twice or half as large change nothing.
 _WEIGHT = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01, 0.1, 0.1])
-"""What a sample of each kind (`visible`) counts: neighbours repeat each other. Of surfaces 0.02 to
-0.003 does as well within one image of 25, 0.1 lets wrong classes pull roll and pitch; all weights
-twice or half as large change nothing."""
-
+# Blur of the first look: 2 degrees are 25 px at 720 px of focal length, and the starts lie closer
 _WIDEST_PX = 16.0
-"""Blur of the first look: 2 degrees are 25 px at 720 px of focal length, and the starts lie closer.
-"""
-
-_BLURS_PX = (8.0, 4.0)
-"""Blurs of the first descents; each keeps the best of the last."""
-
-FINEST_PX = 2.0
-"""Blur of the last descent; edges of image and cloud agree to about that."""
-
-_TRIALS = 384
-"""Starts. A grid of 3 x 3 x 3 found 89 % of 100 poses that these find at 96 %."""
-
-_FARTHEST = 2.2
-"""Starts lie within this many expected standard deviations."""
-
-_CHOSEN = 12
-"""Starts that descend at 8 px; half of them go on at 4 px, a quarter at 2 px."""
-
-_APART = 0.5
-"""Chosen starts differ by this share of an expected standard deviation in some unknown."""
-
-_SAME = 0.1
-"""Minima that differ by less in all unknowns are one."""
-
+_BLURS_PX = (8.0, 4.0)  # Blurs of the first descents; each keeps the best of the last
+FINEST_PX = 2.0  # Blur of the last descent; edges of image and cloud agree to about that
+_TRIALS = 384  # Starts. A grid of 3 x 3 x 3 found 89 % of 100 poses that these find at 96 %.
+_FARTHEST = 2.2  # Starts lie within this many expected standard deviations
+_CHOSEN = 12  # Starts that descend at 8 px; half of them go on at 4 px, a quarter at 2 px
+_APART = 0.5  # Chosen starts differ by this share of an expected standard deviation in some unknown
+_SAME = 0.1  # Minima that differ by less in all unknowns are one
+# Tiles whose samples err alike: with 40 px sigmas are a fifth smaller, with 160 px they scatter
 _TILE_PX = 80
-"""Tiles whose samples err alike: with 40 px sigmas are a fifth smaller, with 160 px they scatter.
-"""
-
+# Error that all samples of an image share, of lens and rectification. Without it 39 % of headings
+# lie within one sigma and 60 % within two; with 1.0 px 78 and 100 % of 45 single photographs of
+# five streets, 39 and 74 % of 31 views of a drive (0.7 px: 64 and 98 %, 29 and 68 %).
 FLOOR_PX = 1.0
-"""Error that all samples of an image share, of lens and rectification. Without it 39 % of headings
-lie within one sigma and 60 % within two; with 1.0 px 78 and 100 % of 45 single photographs of five
-streets, 39 and 74 % of 31 views of a drive (0.7 px: 64 and 98 %, 29 and 68 %)."""
-
-FLOOR_M = 0.05
-"""The same of the cloud: registration of its scans."""
-
+FLOOR_M = 0.05  # The same of the cloud: registration of its scans
+# Depth at which most samples lie: a wrong focal length moves a camera by that share of it
 _DEPTH_M = 20.0
-"""Depth at which most samples lie: a wrong focal length moves a camera by that share of it."""
-
+# A second pose that is nearer than this in all unknowns does no harm; metres and degrees
 _SECOND = np.array([0.5, 0.5, 0.5, 0.25, 0.25, 0.25])
-"""A second pose that is nearer than this in all unknowns does no harm; metres and degrees."""
-
+# Spread of the poses that the best one is compared with, whatever was expected: what a videolog
+# leaves open
 _ELSEWHERE = np.array([0.7, 0.7, 0.1, 2.0, 1.0, 1.0])
-"""Spread of the poses that the best one is compared with, whatever was expected: what a videolog
-leaves open."""
-
+# Blur of that comparison: at 2 px chance hits scatter, at 8 px the best pose stands out less
 _LEAD_PX = 4.0
-"""Blur of that comparison: at 2 px chance hits scatter, at 8 px the best pose stands out less."""
 
 
 @dataclass(frozen=True)
@@ -131,24 +104,6 @@ class DenseTask:
 
 
 @dataclass(frozen=True)
-class Samples:
-    """What a camera sees of a cloud: places (n, 3), fields, weights and tiles (n,) of samples."""
-
-    xyz_m: Floats
-    field: Ints
-    weight: Floats
-    tile: Ints
-    tiles: int
-
-    def thinned(self, step: int) -> Samples:
-        """Every ``step``-th sample, counting as much as all."""
-        own = np.ascontiguousarray
-        field, tile = own(self.field[::step]), own(self.tile[::step])
-        weight = own(self.weight[::step]) * step
-        return Samples(own(self.xyz_m[::step]), field, weight, tile, self.tiles)
-
-
-@dataclass(frozen=True)
 class DenseFit:
     """A pose.
 
@@ -176,72 +131,53 @@ class DenseFit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def moved(pose: Floats, offsets: Floats) -> Floats:
-    """Pose (6,) that lies ``offsets`` (6,) from another; metres and degrees."""
-    heading = np.radians(pose[YAW])
-    east, north = np.sin(heading), np.cos(heading)
-    axes = np.array([[east, north, 0.0], [north, -east, 0.0], [0.0, 0.0, 1.0]])
-    return np.concatenate([pose[:3] + offsets[:3] @ axes, pose[3:] + offsets[3:]])
+def align_dense(task: DenseTask) -> DenseFit:
+    """The pose that photograph and cloud agree on best."""
+    zero, unit = np.zeros(SIZE), task.sigma
+    samples = gather(task, zero).thinned(4)
+    prior = task.prior_information
+    trials = _starts() @ np.linalg.cholesky(task.covariance).T
+    costs = [
+        0.5 * trial @ prior @ trial - evaluate(task, samples, _WIDEST_PX, trial, False)[0]
+        for trial in trials
+    ]
+    chosen = _distinct(list(zip(costs, trials, strict=True)), unit, _APART, _CHOSEN)
+    first = [descend_dense(task, samples, _BLURS_PX[0], trial, 8) for _, trial in chosen]
+    second = [
+        descend_dense(task, gather(task, offsets).thinned(3), _BLURS_PX[1], offsets, 10)
+        for _, offsets in _distinct(first, unit, _SAME, _CHOSEN // 2)
+    ]
+    last = []
+    for minimum in _distinct(second, unit, _SAME, _CHOSEN // 4):
+        found = minimum
+        for _ in range(2):  # each time with what is seen from where the last descent ended
+            found = descend_dense(task, gather(task, found[1]), FINEST_PX, found[1], 10)
+        last.append(found)
+    last.sort(key=lambda found: found[0])
+    return _fit(task, last)
 
 
-def gather(task: DenseTask, offsets: Floats) -> Samples:
-    """What the camera sees of the cloud from a pose."""
-    pose, lens = moved(task.pose, offsets), task.lens.vector(task.evidence.scale)
-    rotation = cam_from_world(*pose[3:])
-    kinds, points = visible_samples(task.cloud, rotation, pose[:3], lens, task.evidence.shape)
-    xyz = np.ascontiguousarray(task.cloud.xyz_m[points])
-    seen = (xyz - pose[:3]) @ rotation.T
-    high, broad = task.evidence.shape
-    column = np.clip(lens[1] + lens[0] * seen[:, 0] / seen[:, 2], 0, broad - 1) // _TILE_PX
-    row = np.clip(lens[2] + lens[0] * seen[:, 1] / seen[:, 2], 0, high - 1) // _TILE_PX
-    columns, rows = int(np.ceil(broad / _TILE_PX)), int(np.ceil(high / _TILE_PX))
-    tile = (row * columns + column).astype(np.int64)
-    return Samples(xyz, FIELD_OF[kinds], _WEIGHT[kinds], tile, columns * rows)
+def _starts() -> Floats:
+    """Offsets (t, 6) in standard deviations, the expected pose first."""
+    from scipy.stats import norm, qmc  # noqa: PLC0415  # slow to load
+
+    points = qmc.Halton(SIZE, scramble=False).random(_TRIALS + 1)[1:]
+    starts = np.clip(norm.ppf(points), -_FARTHEST, _FARTHEST)
+    starts[0] = 0.0
+    return np.asarray(starts, np.float64)
 
 
-def evaluate(
-    task: DenseTask, samples: Samples, blur_px: float, offsets: Floats, slopes: bool = True
-) -> tuple[float, Floats, Floats]:
-    """Log-likelihood ratio of the image alone, gradient (6,), Fisher's information (6, 6)."""
-    gain, by_tile, information = _scored(task, samples, task.evidence.at(blur_px), offsets, slopes)
-    return gain, by_tile.sum(axis=0), information
-
-
-def _scored(
-    task: DenseTask, samples: Samples, fields: Floats32, offsets: Floats, slopes: bool
-) -> tuple[float, Floats, Floats]:
-    found: tuple[float, Floats, Floats] = score(
-        offsets,
-        np.concatenate([task.pose[:3], np.radians(task.pose[3:])]),
-        task.lens.vector(task.evidence.scale),
-        samples.xyz_m,
-        samples.field,
-        samples.weight,
-        samples.tile,
-        samples.tiles,
-        fields,
-        slopes,
-    )
-    return found
-
-
-@dataclass(frozen=True)
-class _State:
-    cost: float
-    slope: Floats
-    normal: Floats
-    by_tile: Floats
-    information: Floats
-
-
-def _state(
-    task: DenseTask, samples: Samples, blur_px: float, prior: Floats, offsets: Floats
-) -> _State:
-    """Cost of a pose with the expectation's part, and its slopes."""
-    gain, by_tile, information = _scored(task, samples, task.evidence.at(blur_px), offsets, True)
-    pull = prior @ offsets
-    cost = 0.5 * float(offsets @ pull) - gain
-    return _State(cost, pull - by_tile.sum(axis=0), information + prior, by_tile, information)
+def _distinct(
+    found: list[tuple[float, Floats]], unit: Floats, apart: float, count: int
+) -> list[tuple[float, Floats]]:
+    """The best that differ from each other in some unknown by more than a share of its unit."""
+    kept: list[tuple[float, Floats]] = []
+    for cost, offsets in sorted(found, key=lambda minimum: minimum[0]):
+        if all(np.abs((offsets - other) / unit).max() > apart for _, other in kept):
+            kept.append((cost, offsets))
+        if len(kept) == count:
+            break
+    return kept
 
 
 def descend_dense(
@@ -271,64 +207,87 @@ def descend_dense(
     return state.cost, offsets
 
 
-def align_dense(task: DenseTask) -> DenseFit:
-    """The pose that photograph and cloud agree on best."""
-    zero, unit = np.zeros(SIZE), task.sigma
-    samples = gather(task, zero).thinned(4)
-    prior = task.prior_information
-    trials = _starts() @ np.linalg.cholesky(task.covariance).T
-    costs = [
-        0.5 * trial @ prior @ trial - evaluate(task, samples, _WIDEST_PX, trial, False)[0]
-        for trial in trials
-    ]
-    chosen: list[Floats] = []
-    for number in np.argsort(costs, kind="stable"):
-        if all(np.abs((trials[number] - other) / unit).max() > _APART for other in chosen):
-            chosen.append(trials[number])
-        if len(chosen) == _CHOSEN:
-            break
-    first = [descend_dense(task, samples, _BLURS_PX[0], trial, 8) for trial in chosen]
-    second = [
-        descend_dense(task, gather(task, offsets).thinned(3), _BLURS_PX[1], offsets, 10)
-        for _, offsets in _distinct(first, unit, _CHOSEN // 2)
-    ]
-    last = [_finished(task, offsets) for _, offsets in _distinct(second, unit, _CHOSEN // 4)]
-    last.sort(key=lambda found: found[0])
-    return _fit(task, last)
+@dataclass(frozen=True)
+class _State:
+    cost: float
+    slope: Floats
+    normal: Floats
+    by_tile: Floats
+    information: Floats
 
 
-def _starts() -> Floats:
-    """Offsets (t, 6) in standard deviations, the expected pose first."""
-    from scipy.stats import norm, qmc  # noqa: PLC0415  # slow to load
-
-    points = qmc.Halton(SIZE, scramble=False).random(_TRIALS + 1)[1:]
-    starts = np.clip(norm.ppf(points), -_FARTHEST, _FARTHEST)
-    starts[0] = 0.0
-    return np.asarray(starts, np.float64)
-
-
-def _distinct(
-    found: list[tuple[float, Floats]], unit: Floats, count: int
-) -> list[tuple[float, Floats]]:
-    """The best minima that differ from each other."""
-    kept: list[tuple[float, Floats]] = []
-    for cost, offsets in sorted(found, key=lambda minimum: minimum[0]):
-        if all(np.abs((offsets - other) / unit).max() > _SAME for _, other in kept):
-            kept.append((cost, offsets))
-        if len(kept) == count:
-            break
-    return kept
+def _state(
+    task: DenseTask, samples: Samples, blur_px: float, prior: Floats, offsets: Floats
+) -> _State:
+    """Cost of a pose with the expectation's part, and its slopes."""
+    gain, by_tile, information = _scored(task, samples, blur_px, offsets, True)
+    pull = prior @ offsets
+    cost = 0.5 * float(offsets @ pull) - gain
+    return _State(cost, pull - by_tile.sum(axis=0), information + prior, by_tile, information)
 
 
-def _finished(task: DenseTask, offsets: Floats) -> tuple[float, Floats]:
-    """The last descent, twice, each with what is seen from where the last one ended."""
-    cost = np.inf
-    for _ in range(2):
-        cost, offsets = descend_dense(task, gather(task, offsets), FINEST_PX, offsets, 10)
-    return cost, offsets
+def evaluate(
+    task: DenseTask, samples: Samples, blur_px: float, offsets: Floats, slopes: bool = True
+) -> tuple[float, Floats, Floats]:
+    """Log-likelihood ratio of the image alone, gradient (6,), Fisher's information (6, 6)."""
+    gain, by_tile, information = _scored(task, samples, blur_px, offsets, slopes)
+    return gain, by_tile.sum(axis=0), information
+
+
+def _scored(
+    task: DenseTask, samples: Samples, blur_px: float, offsets: Floats, slopes: bool
+) -> tuple[float, Floats, Floats]:
+    """The same with the gradient by tile (tiles, 6)."""
+    start = np.concatenate([task.pose[:3], np.radians(task.pose[3:])])
+    lens, fields = task.lens.vector(task.evidence.scale), task.evidence.at(blur_px)
+    seen = samples.xyz_m, samples.field, samples.weight, samples.tile, samples.tiles
+    found: tuple[float, Floats, Floats] = score(offsets, start, lens, *seen, fields, slopes)
+    return found
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a camera sees of a cloud: places (n, 3), fields, weights and tiles (n,) of samples."""
+
+    xyz_m: Floats
+    field: Ints
+    weight: Floats
+    tile: Ints
+    tiles: int
+
+    def thinned(self, step: int) -> Samples:
+        """Every ``step``-th sample, counting as much as all."""
+        own = np.ascontiguousarray
+        field, tile = own(self.field[::step]), own(self.tile[::step])
+        weight = own(self.weight[::step]) * step
+        return Samples(own(self.xyz_m[::step]), field, weight, tile, self.tiles)
+
+
+def gather(task: DenseTask, offsets: Floats) -> Samples:
+    """What the camera sees of the cloud from a pose."""
+    pose, lens = moved(task.pose, offsets), task.lens.vector(task.evidence.scale)
+    rotation = cam_from_world(*pose[3:])
+    kinds, points = visible_samples(task.cloud, rotation, pose[:3], lens, task.evidence.shape)
+    xyz = np.ascontiguousarray(task.cloud.xyz_m[points])
+    seen = (xyz - pose[:3]) @ rotation.T
+    high, broad = task.evidence.shape
+    column = np.clip(lens[1] + lens[0] * seen[:, 0] / seen[:, 2], 0, broad - 1) // _TILE_PX
+    row = np.clip(lens[2] + lens[0] * seen[:, 1] / seen[:, 2], 0, high - 1) // _TILE_PX
+    columns, rows = int(np.ceil(broad / _TILE_PX)), int(np.ceil(high / _TILE_PX))
+    tile = (row * columns + column).astype(np.int64)
+    return Samples(xyz, FIELD_OF[kinds], _WEIGHT[kinds], tile, columns * rows)
+
+
+def moved(pose: Floats, offsets: Floats) -> Floats:
+    """Pose (6,) that lies ``offsets`` (6,) from another; metres and degrees."""
+    heading = np.radians(pose[YAW])
+    east, north = np.sin(heading), np.cos(heading)
+    axes = np.array([[east, north, 0.0], [north, -east, 0.0], [0.0, 0.0, 1.0]])
+    return np.concatenate([pose[:3] + offsets[:3] @ axes, pose[3:] + offsets[3:]])
 
 
 def _fit(task: DenseTask, minima: list[tuple[float, Floats]]) -> DenseFit:
+    """The best of the minima, sorted by cost, with what is known of it."""
     cost, offsets = minima[0]
     samples = gather(task, offsets)
     prior = task.prior_information
@@ -341,28 +300,24 @@ def _fit(task: DenseTask, minima: list[tuple[float, Floats]]) -> DenseFit:
         ),
         default=np.inf,
     )
-    covariance = _sandwich(state, prior) + np.diag(common_sigma(task.lens) ** 2)
-    gain = 0.5 * float(offsets @ prior @ offsets) - state.cost
-    pose = moved(task.pose, offsets)
-    lead, count = _lead(task, samples.thinned(4), offsets), len(samples.xyz_m)
-    return DenseFit(offsets, pose, covariance, cost, gain, second, lead, count)
-
-
-def _lead(task: DenseTask, samples: Samples, offsets: Floats) -> float:
-    """By how much a pose fits better than the best of many random ones around it.
-
-    An image of another place fits somewhere, too, but hardly better than at random.
-    """
+    # Sandwich covariance of an M-estimator whose independent parts are the image's tiles.
+    bread = np.linalg.inv(state.information + prior)
+    sandwich = np.asarray(bread @ (state.by_tile.T @ state.by_tile + prior) @ bread, np.float64)
+    # An image of another place fits somewhere, too, but hardly better than at random.
+    few = samples.thinned(4)
     around = _starts()[1::2] * _ELSEWHERE
     around = around[(np.abs(around) > _SECOND).any(axis=1)]
-    others = [evaluate(task, samples, _LEAD_PX, offsets + one, False)[0] for one in around]
-    return evaluate(task, samples, _LEAD_PX, offsets, False)[0] - max(others)
-
-
-def _sandwich(state: _State, prior: Floats) -> Floats:
-    """Covariance (6, 6) of an M-estimator whose independent parts are the image's tiles."""
-    bread = np.linalg.inv(state.information + prior)
-    return np.asarray(bread @ (state.by_tile.T @ state.by_tile + prior) @ bread, np.float64)
+    others = [evaluate(task, few, _LEAD_PX, offsets + one, False)[0] for one in around]
+    return DenseFit(
+        offsets,
+        moved(task.pose, offsets),
+        sandwich + np.diag(common_sigma(task.lens) ** 2),
+        cost,
+        gain=0.5 * float(offsets @ prior @ offsets) - state.cost,
+        second=second,
+        lead=evaluate(task, few, _LEAD_PX, offsets, False)[0] - max(others),
+        samples=len(samples.xyz_m),
+    )
 
 
 def common_sigma(lens: GivenLens) -> Floats:
@@ -376,55 +331,10 @@ def common_sigma(lens: GivenLens) -> Floats:
     return np.concatenate([[ahead_m, FLOOR_M, FLOOR_M], turn])
 
 
-# Log-likelihood ratio of projected samples and its slopes, compiled.
-#
-# The pose moves from where it starts by along, lateral (right), up (metres; along and right of
-# the start's heading) and yaw, pitch, roll (degrees). Axes and angles as in `geometry.cameras`.
-
-SIZE = 6
-"""Along, lateral, up, yaw, pitch, roll."""
-
-_NEAREST_M = 0.5
-"""Samples nearer than this, or behind the camera, are in no image."""
-
-_RADIANS = np.pi / 180.0
-
-
-@compiled()
-def turned(heading: float, pitch: float, roll: float) -> Floats:
-    """Rotation cam_from_world and its slopes by heading, pitch and roll: (4, 3, 3); radians."""
-    sin_h, cos_h = np.sin(heading), np.cos(heading)
-    sin_p, cos_p = np.sin(pitch), np.cos(pitch)
-    sin_r, cos_r = np.sin(roll), np.cos(roll)
-    level = np.array(
-        [
-            [cos_h, -sin_h, 0.0],
-            [sin_p * sin_h, sin_p * cos_h, -cos_p],
-            [sin_h * cos_p, cos_h * cos_p, sin_p],
-        ]
-    )
-    by_heading = np.array(
-        [
-            [-sin_h, -cos_h, 0.0],
-            [sin_p * cos_h, -sin_p * sin_h, 0.0],
-            [cos_h * cos_p, -sin_h * cos_p, 0.0],
-        ]
-    )
-    out = np.empty((4, 3, 3))
-    for k in range(3):
-        out[0, 0, k] = cos_r * level[0, k] - sin_r * level[1, k]
-        out[0, 1, k] = sin_r * level[0, k] + cos_r * level[1, k]
-        out[0, 2, k] = level[2, k]
-        out[1, 0, k] = cos_r * by_heading[0, k] - sin_r * by_heading[1, k]
-        out[1, 1, k] = sin_r * by_heading[0, k] + cos_r * by_heading[1, k]
-        out[1, 2, k] = by_heading[2, k]
-        out[2, 0, k] = -sin_r * level[2, k]
-        out[2, 1, k] = cos_r * level[2, k]
-        out[2, 2, k] = -level[1, k]
-        out[3, 0, k] = -out[0, 1, k]
-        out[3, 1, k] = out[0, 0, k]
-        out[3, 2, k] = 0.0
-    return out
+# The unknowns, and numbers of two of them: along, lateral (right), up (metres; along and right of
+# the start's heading), yaw, pitch, roll (degrees). Axes and angles as in `geometry.cameras`.
+SIZE, YAW, PITCH = 6, 3, 4
+_NEAREST_M = 0.5  # Samples nearer than this, or behind the camera, are in no image
 
 
 @compiled()
@@ -458,9 +368,7 @@ def score(  # noqa: PLR0912
     gradient = np.zeros((tiles, SIZE))
     information = np.zeros((SIZE, SIZE))
     turns = turned(
-        pose[3] + offsets[3] * _RADIANS,
-        pose[4] + offsets[4] * _RADIANS,
-        pose[5] + offsets[5] * _RADIANS,
+        pose[3] + offsets[3] * DEGREE, pose[4] + offsets[4] * DEGREE, pose[5] + offsets[5] * DEGREE
     )
     north, east = np.cos(pose[3]), np.sin(pose[3])
     # Rows: along, right and up in the world.
@@ -526,7 +434,7 @@ def score(  # noqa: PLR0912
             turn_x = turn[0, 0] * away[0] + turn[0, 1] * away[1] + turn[0, 2] * away[2]
             turn_y = turn[1, 0] * away[0] + turn[1, 1] * away[1] + turn[1, 2] * away[2]
             turn_z = turn[2, 0] * away[0] + turn[2, 1] * away[1] + turn[2, 2] * away[2]
-            row[3 + j] = (by_x * turn_x + by_y * turn_y + by_z * turn_z) * _RADIANS
+            row[3 + j] = (by_x * turn_x + by_y * turn_y + by_z * turn_z) * DEGREE
         for j in range(SIZE):
             gradient[tile[i], j] += weight[i] * row[j]
             for k in range(j + 1):

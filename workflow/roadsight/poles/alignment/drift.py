@@ -19,22 +19,20 @@ from roadsight.poles.alignment.pose import ALONG, LATERAL
 from roadsight.poles.alignment.solve import Fit
 
 _State = tuple[Floats, Floats]
+# One standard deviation of what is said of a receiver beforehand, as logarithms of `DriftModel`:
+# twice or half as much is as usual as not
 _KNOWN = np.log([2.0, 2.0, 2.0])
-"""One standard deviation of what is said of a receiver beforehand, as logarithms of `DriftModel`:
-twice or half as much is as usual as not."""
+# Degrees of freedom of a measurement's error: few, since some images take one pole for another
 _TAILS = 4.0
-"""Degrees of freedom of a measurement's error: few, since some images take one pole for another."""
+# Squared scale of these tails for which normal errors in two directions give their true variance:
+# E[(_TAILS + 2) d / (_SCALE + d)] = 2 for d of chi squared with 2 degrees of freedom
 _SCALE = 3.0
-"""Squared scale of these tails for which normal errors in two directions give their true variance:
-E[(_TAILS + 2) d / (_SCALE + d)] = 2 for d of chi squared with 2 degrees of freedom."""
-_FEWEST = 8
-"""Measured places from which a receiver's errors are estimated."""
+_FEWEST = 8  # Measured places from which a receiver's errors are estimated
+# One standard deviation of a place that counts as unknown: far beyond any error of a track
 _UNKNOWN_M = 30.0
-"""One standard deviation of a place that counts as unknown: far beyond any error of a track."""
+# Share of what road edges tell an image that is news: others see the same, errors included
 OVERLAP = 0.05
-"""Share of what road edges tell an image that is news: others see the same, errors included."""
-MARK_OVERLAP = 0.5
-"""The same share of what landmarks tell."""
+MARK_OVERLAP = 0.5  # The same share of what landmarks tell
 
 
 @dataclass(frozen=True)
@@ -87,15 +85,21 @@ class Drift:
             states.append(_moved(ahead[before], station_m - place[before], self.model))
         if after < len(order):
             states.append(_moved(back[after], place[after] - station_m, self.model))
-        mean, covariance = _both(states, self.model)
-        return mean, covariance + np.eye(2) * self.model.own_m**2
+        # Each of the two states holds the process's own spread already: it counts once.
+        prior = np.eye(2) / self.model.sigma_m**2
+        information, right = prior.copy(), np.zeros(2)
+        for mean, covariance in states:
+            own = np.linalg.inv(covariance)
+            information += own - prior
+            right += own @ mean
+        found = np.asarray(np.linalg.inv(information), np.float64)
+        return found @ right, 0.5 * (found + found.T) + np.eye(2) * self.model.own_m**2
 
     @cached_property
     def _swept(self) -> tuple[Ints, list[_State], list[_State]]:
         """Order of the stations; what all up to each say there, and what all from each on say."""
         order = np.argsort(self.station_m, kind="stable")
-        back = self._sweep(order[::-1])[::-1]
-        return order, self._sweep(order), back
+        return order, self._sweep(order), self._sweep(order[::-1])[::-1]
 
     def _sweep(self, order: Ints) -> list[_State]:
         states: list[_State] = []
@@ -154,7 +158,7 @@ class Drift:
             state = mean + gain @ gap, covariance - gain @ covariance
         return total
 
-    def without_outliers(self, limit: float = 4.0) -> tuple[Drift, Bools]:
+    def without_outliers(self) -> tuple[Drift, Bools]:
         """Drift without measurements that their neighbours contradict, and which ones stay."""
         kept = np.ones(len(self.station_m), bool)
         # More than a quarter cannot be outliers: then something else is wrong.
@@ -162,9 +166,15 @@ class Drift:
         # The worst of a stretch first: an outlier makes its neighbours look like outliers.
         while most > 0:
             rest = self._part(kept)
-            surprise = np.array([rest._surprise(number) for number in range(kept.sum())])
-            # Two numbers, east and north, so that the bound is twice that of one.
-            worst = _peaks(rest.station_m, surprise, 2.0 * limit**2, self.model.length_m)[:most]
+            # Squared distance of each from what the others say, in standard deviations.
+            surprise = np.empty(len(rest.station_m))
+            for number, offset in enumerate(rest.offset_m):
+                mean, covariance = rest.at(rest.station_m[number], number)
+                gap = offset - mean
+                full = covariance + rest.covariance_m2[number]
+                surprise[number] = gap @ np.linalg.solve(full, gap)
+            # Four sigmas; two numbers, east and north, so that the bound is twice that of one.
+            worst = _peaks(rest.station_m, surprise, 2.0 * 4.0**2, self.model.length_m)[:most]
             if not len(worst):
                 break
             kept[np.flatnonzero(kept)[worst]] = False
@@ -175,29 +185,11 @@ class Drift:
         part = self.station_m[kept], self.offset_m[kept], self.covariance_m2[kept]
         return Drift(*part, self.model)
 
-    def _surprise(self, number: int) -> float:
-        """Squared distance of a measurement from what the others say, in standard deviations."""
-        mean, covariance = self.at(self.station_m[number], number)
-        gap = self.offset_m[number] - mean
-        return float(gap @ np.linalg.solve(covariance + self.covariance_m2[number], gap))
-
 
 def _moved(state: _State, gap_m: float, model: DriftModel) -> _State:
     """State further along, either way."""
     keep = float(np.exp(-gap_m / model.length_m))
     return keep * state[0], keep**2 * state[1] + np.eye(2) * (1.0 - keep**2) * model.sigma_m**2
-
-
-def _both(states: list[_State], model: DriftModel) -> _State:
-    """States from before and from behind as one; each holds the process's own spread already."""
-    prior = np.eye(2) / model.sigma_m**2
-    information, right = prior.copy(), np.zeros(2)
-    for mean, covariance in states:
-        own = np.linalg.inv(covariance)
-        information += own - prior
-        right += own @ mean
-    covariance = np.asarray(np.linalg.inv(information), np.float64)
-    return covariance @ right, 0.5 * (covariance + covariance.T)
 
 
 def _peaks(station_m: Floats, value: Floats, least: float, apart_m: float) -> list[int]:

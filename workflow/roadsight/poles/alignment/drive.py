@@ -13,39 +13,24 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, Landmarks, PoleAxes
+from roadsight.poles.alignment.landmarks import Columns, LandmarkNoise, Landmarks, PoleAxes
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
+from roadsight.poles.alignment.solve import MEDIAN_OF_NORMAL, ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
+from roadsight.poles.images.views import VIEWS
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 
+# Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide
 Visible = Callable[[Floats, Floats], Bools]
-"""Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
-
+# By this much the track reaches beyond the farthest road edge, since points past its ends have no
+# side; at the ends of a route it is continued straight on
 _BEYOND_M = 60.0
-"""By this much the track reaches beyond the farthest road edge, since points past its ends have no
-side; at the ends of a route it is continued straight on."""
-
+# Columns this much beyond the range of landmarks are loaded: the range is measured from the track,
+# and again from the pose, which may be nearer
 _SLACK_M = 10.0
-"""Columns this much beyond the range of landmarks are loaded: the range is measured from the track,
-and again from the pose, which may be nearer."""
-
-_AXIS_NUMBERS = (
-    "u",
-    "v",
-    "slope",
-    "v_foot",
-    "v_top",
-    "width_px",
-    "width_view_px",
-    "height_view_px",
-)
-"""Columns of the table of pole axes that hold numbers."""
-
+# Height of a camera above the road before it is known, for sight lines; what `weak_mount` expects
 _EYE_M = 2.2
-"""Height of a camera above the road before it is known, for sight lines; what `weak_mount`
-expects."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +78,14 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
         for k, (number, row) in enumerate(zip(rows.index, rows.to_dict("records"), strict=True)):
             around = np.abs(path - path[k]) <= reach.farthest_m + _BEYOND_M
             line = extended_track(driven[around], _BEYOND_M)
-            start = _start(row, edges, heading[k], _grade(path, z, k))
+            x_m, y_m, z_m = (float(row[name]) for name in ("x", "y", "z_road"))
+            grade = _grade(path, z, k)
+            road = roadway_at(edges, np.array([x_m, y_m, z_m]), heading[k], grade)
+            width, height = int(row["width_px"]), int(row["height_px"])
+            tilt, middle = (road.grade, road.bank), ((width - 1) / 2, (height - 1) / 2)
+            start = Start(
+                x_m, y_m, z_m, road.heading_deg, *tilt, width, height, *middle, road.bend, road.hump
+            )
             found[int(number)] = Place(str(row["image"]), str(route), float(path[k]), start, line)
     return [found[number] for number in range(len(frames))]
 
@@ -111,15 +103,6 @@ def _grade(path_m: Floats, z_m: Floats, k: int) -> float:
         return 0.0
     step = step - step.mean()
     return float(np.clip(step @ z_m[near] / (step @ step), -0.25, 0.25))
-
-
-def _start(row: dict, edges: RoadEdges, heading_deg: float, grade: float) -> Start:
-    x, y, z = float(row["x"]), float(row["y"]), float(row["z_road"])
-    road = roadway_at(edges, np.array([x, y, z]), heading_deg, grade)
-    width, height = int(row["width_px"]), int(row["height_px"])
-    middle = (width - 1) / 2, (height - 1) / 2
-    tilt = road.grade, road.bank
-    return Start(x, y, z, road.heading_deg, *tilt, width, height, *middle, road.bend, road.hump)
 
 
 def near_edges(
@@ -173,21 +156,24 @@ def sight_of(
     foot = np.column_stack([columns.xy_m[near], columns.z_ground_m[near]])
     open_top = columns.open_top[near] > 0 if len(columns.open_top) else np.zeros(len(near), bool)
     there = Columns(foot, columns.top_m[near], columns.sigma_m[near], open_top)
-    get = {name: rows[name].to_numpy(np.float64) for name in _AXIS_NUMBERS}
+
+    def numbers(name: str) -> Floats:
+        return rows[name].to_numpy(np.float64)
+
     front = place.start
     view = np.array([VIEWS.index(name) for name in rows["view"]], np.int64)
-    shape = np.column_stack([get["width_view_px"], get["height_view_px"]])
+    shape = np.column_stack([numbers("width_view_px"), numbers("height_view_px")])
     middle = np.where((view == 0)[:, None], [front.cx_px, front.cy_px], 0.5 * (shape - 1.0))
     axes = PoleAxes(
         view,
-        np.column_stack([get["u"], get["v"]]) - middle,
-        get["v_foot"] - middle[:, 1],
-        get["v_top"] - middle[:, 1],
+        np.column_stack([numbers("u"), numbers("v")]) - middle,
+        numbers("v_foot") - middle[:, 1],
+        numbers("v_top") - middle[:, 1],
         shape[:, 1] / front.height_px,
-        np.hypot(noise.axis_px, noise.axis_share * get["width_px"]),
+        np.hypot(noise.axis_px, noise.axis_share * numbers("width_px")),
         rows["foot_visible"].to_numpy(bool),
         rows["top_cut"].to_numpy(bool),
-        get["slope"],
+        numbers("slope"),
     )
     return Landmarks(axes, there)
 
@@ -210,77 +196,53 @@ def loader(
 
 
 # Direction and tilt of the road under the vehicle, from the LiDAR's road edges around it.
-#
 # Vehicles keep to their road within a degree, while the direction between two satellite positions
 # 8 m apart may be wrong by several; and a camera tilts with the road.
 
+# How far around a place edges tell the road's direction and tilt. Where a road changes its bend
+# within this, a mean direction lags behind by a sixth of the radius squared times the change: 0.4
+# degrees on the generated rural road, always towards a straighter road, so that the lens found
+# with it is too long. With the change of the bend and of the grade as unknowns, 30 m serve as well
+# as 20 in dense clouds and have less noise in sparse ones (24, 8, 2 pulses/m2).
 _AROUND_M = 30.0
-"""How far around a place edges tell the road's direction and tilt. Where a road changes its bend
-within this, a mean direction lags behind by a sixth of the radius squared times the change: 0.4
-degrees on the generated rural road, always towards a straighter road, so that the lens found with
-it is too long. With the change of the bend and of the grade as unknowns, 30 m serve as well as 20
-in dense clouds and have less noise in sparse ones (24, 8, 2 pulses/m2)."""
-
-_TURN_DEG = 25.0
-"""Edges that run at a greater angle to the road are of side roads and drives."""
-
-_FEWEST = 12
-"""With fewer edge points the track alone has to do."""
-
+_TURN_DEG = 25.0  # Edges that run at a greater angle to the road are of side roads and drives
+_FEWEST = 12  # With fewer edge points the track alone has to do
 # As if height (m), grade, bank, bend of the grade (1/m) and its change (1/m2) were known
 # beforehand this well: grades change over some 100 m.
 _TILT_SIGMA = np.array([0.5, 0.03, 0.04, 0.002, 1e-4])
-
-_HEIGHT_SIGMA_M = 0.03
-"""One standard deviation of an edge point's height."""
-
+_HEIGHT_SIGMA_M = 0.03  # One standard deviation of an edge point's height
+# The same of direction (radians), bend (1/m) and its change (1/m2): radii below some 30 m are
+# unlikely, and so is a clothoid that reaches one of 30 m within 30 m
 _COURSE_SIGMA = np.array([1.0, 0.03, 1e-3])
-"""The same of direction (radians), bend (1/m) and its change (1/m2): radii below some 30 m are
-unlikely, and so is a clothoid that reaches one of 30 m within 30 m."""
+_LEAST_TURN_DEG = 0.1  # Least standard deviation of an edge point's direction
+_INDEPENDENT = 0.1  # Share of edge points that tell something new: neighbours err alike
+_ROUNDS = 8  # Rounds of reweighing
 
-_LEAST_TURN_DEG = 0.1
-"""Least standard deviation of an edge point's direction."""
-
-_INDEPENDENT = 0.1
-"""Share of edge points that tell something new: neighbours err alike."""
-
-_ROUNDS = 8
-"""Rounds of reweighing."""
-
-# What follows decides where a track is moved (decision 091). On generated drives whose positions
+# The rest decides where a track is moved (decision 091). On generated drives whose positions
 # drift by 3 m (roads of seeds 1 and 5) these places are inside their road then, and drives that
 # keep to it stay, with any of the values in brackets.
+
+# How far ahead and behind edges tell where the road lies across a place of the track (3 to 5; from
+# 8 on a bend and the heading's error move one more drive of 2 pulses/m2)
 _STRIP_M = 5.0
-"""How far ahead and behind edges tell where the road lies across a place of the track (3 to 5;
-from 8 on a bend and the heading's error move one more drive of 2 pulses/m2)."""
-
+# How far aside they do: a receiver's error of some metres and the road's width (10 to 20)
 _ASIDE_M = 15.0
-"""How far aside they do: a receiver's error of some metres and the road's width (10 to 20)."""
-
+# Points of one line, 0.3 m apart along it, have no such gap between them across (0.3 to 1)
 _APART_M = 0.5
-"""Points of one line, 0.3 m apart along it, have no such gap between them across (0.3 to 1)."""
-
+# Metres along the road, of the 10 of the strip, in which a line has points: a lone point is none
+# (1 to 5)
 _FEWEST_M = 3
-"""Metres along the road, of the 10 of the strip, in which a line has points: a lone point is none
-(1 to 5)."""
-
+# Lines nearer to each other have no road between them: the width of a lane (1.5 to 4)
 _NARROWEST_M = 2.5
-"""Lines nearer to each other have no road between them: the width of a lane (1.5 to 4)."""
-
+# Most by which the width of a gap differs from the road's, as a share of it. Roads are told to 7
+# percent; the mouth of a drive adds 30 (0.1 to 0.4).
 _LIKE_WIDTH = 0.25
-"""Most by which the width of a gap differs from the road's, as a share of it. Roads are told to 7
-percent; the mouth of a drive adds 30 (0.1 to 0.4)."""
-
+# A drive none of whose places is as far beside the road as this stays as it is: places of drives
+# that keep to their road are up to 0.46 m beside its edges (with 1 m, one of three drifting drives
+# stays and leaves 5 of 38 places beside the road)
 _BESIDE_M = 0.5
-"""A drive none of whose places is as far beside the road as this stays as it is: places of drives
-that keep to their road are up to 0.46 m beside its edges (with 1 m, one of three drifting drives
-stays and leaves 5 of 38 places beside the road)."""
-
+# Share of the road's width by which places of a moved drive are inside its edges (0.1 to 0.35)
 _WITHIN = 0.25
-"""Share of the road's width by which places of a moved drive are inside its edges (0.1 to 0.35)."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
 
 
 @dataclass(frozen=True)
@@ -301,21 +263,16 @@ class Roadway:
 
 
 def roadway_at(
-    edges: RoadEdges,
-    place_xyz_m: ArrayLike,
-    heading_deg: float,
-    grade: float,
-    radius_m: float = _AROUND_M,
+    edges: RoadEdges, place_xyz_m: ArrayLike, heading_deg: float, grade: float
 ) -> Roadway:
     """Road under a place.
 
     Parameters
     ----------
     place_xyz_m : on the road, local metres. heading_deg, grade : of the track there.
-    radius_m : how far around edges are used.
     """
     place = np.asarray(place_xyz_m, np.float64)
-    index = edges.near(place, radius_m)
+    index = edges.near(place, _AROUND_M)
     along = edges.along[index]
     turn = wrap_deg(np.degrees(np.arctan2(along[:, 0], along[:, 1])) - heading_deg)
     turn = (turn + 90.0) % 180.0 - 90.0  # Edges run either way.
@@ -324,9 +281,17 @@ def roadway_at(
     if like.sum() < _FEWEST:
         return Roadway(heading_deg, grade, 0.0, 0.0, 0.0, False)
     offset, heading = offset[like], heading_deg + turned_deg
-    tilt = _tilt(offset, heading, grade)
-    right = _aside(offset, heading_deg) >= 0
-    bank = tilt[2] if min(right.sum(), (~right).sum()) >= 3 else 0.0
+    # Surface through the edges: height, grade, bank, bend of the grade and its change.
+    ahead, right = _ahead(offset, heading), _aside(offset, heading)
+    terms = np.column_stack([np.ones_like(ahead), ahead, right, ahead**2, ahead**3 / 6.0])
+    weight = _INDEPENDENT / _HEIGHT_SIGMA_M**2
+    known = np.diag(1.0 / _TILT_SIGMA**2)
+    expected = np.array([0.0, grade, 0.0, 0.0, 0.0])
+    tilt = np.linalg.solve(
+        weight * terms.T @ terms + known, weight * terms.T @ offset[:, 2] + known @ expected
+    )
+    on_right = _aside(offset, heading_deg) >= 0
+    bank = tilt[2] if min(on_right.sum(), (~on_right).sum()) >= 3 else 0.0
     return Roadway(heading % 360.0, tilt[1], bank, bend, 2.0 * tilt[3], True)
 
 
@@ -356,7 +321,14 @@ def on_road(track_xy_m: ArrayLike, headings_deg: ArrayLike, edges: RoadEdges) ->
         return track
     width_m = float(np.median(widths))
     path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
-    steps_m = _steps(np.array([_nearest(gap, width_m) for gap in gaps]), width_m, path_m)
+    # The gap that each place is in or next to, unless that is not as wide as the road.
+    road = np.full((len(gaps), 2), np.nan)
+    for gap, own in zip(gaps, road, strict=True):
+        if len(gap):
+            nearest = gap[np.argmin(np.maximum(gap[:, 0], -gap[:, 1]))]
+            if abs(nearest[1] - nearest[0] - width_m) <= _LIKE_WIDTH * width_m:
+                own[:] = nearest
+    steps_m = _steps(road, width_m, path_m)
     angle = np.radians(headings)
     return track + steps_m[:, None] * np.column_stack([np.cos(angle), -np.sin(angle)])
 
@@ -376,15 +348,6 @@ def _gaps(xy_m: Floats, heading_deg: float, edges: RoadEdges) -> Floats:
     at = np.array([np.median(aside[line]) for line in lines])
     gaps = np.column_stack([at[:-1], at[1:]])
     return gaps[np.diff(at) >= _NARROWEST_M]
-
-
-def _nearest(gaps: Floats, width_m: float) -> Floats:
-    """The gap (2,) that a place is in or next to; nan where that is not as wide as the road."""
-    if len(gaps):
-        gap = gaps[np.argmin(np.maximum(gaps[:, 0], -gaps[:, 1]))]
-        if abs(gap[1] - gap[0] - width_m) <= _LIKE_WIDTH * width_m:
-            return np.asarray(gap, np.float64)
-    return np.full(2, np.nan)
 
 
 def _steps(road: Floats, width_m: float, path_m: Floats) -> Floats:
@@ -435,21 +398,9 @@ def _course(ahead_m: Floats, turn_deg: Floats) -> tuple[tuple[float, float], Boo
         like = off < np.radians(_TURN_DEG)
         if not like.any():
             break
-        sigma = np.median(off[like]) / _MEDIAN_OF_NORMAL
+        sigma = np.median(off[like]) / MEDIAN_OF_NORMAL
         sigma = max(float(sigma), np.radians(_LEAST_TURN_DEG))
         weight = _INDEPENDENT * like / (sigma * np.maximum(off, sigma))
         normal = terms.T @ (weight[:, None] * terms) + known
         course = np.linalg.solve(normal, terms.T @ (weight * np.radians(turn_deg)))
     return (float(np.degrees(course[0])), float(course[1])), like
-
-
-def _tilt(offset: Floats, heading_deg: float, grade: float) -> Floats:
-    """Height, grade, bank, bend of the surface through the edges, and the change of that bend."""
-    ahead, right = _ahead(offset, heading_deg), _aside(offset, heading_deg)
-    terms = np.column_stack([np.ones_like(ahead), ahead, right, ahead**2, ahead**3 / 6.0])
-    weight = _INDEPENDENT / _HEIGHT_SIGMA_M**2
-    known = np.diag(1.0 / _TILT_SIGMA**2)
-    expected = np.array([0.0, grade, 0.0, 0.0, 0.0])
-    return np.linalg.solve(
-        weight * terms.T @ terms + known, weight * terms.T @ offset[:, 2] + known @ expected
-    )

@@ -11,17 +11,13 @@ import pandas as pd
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, INSETS, PITCH, ROLL, SIZE, Start
 from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import FINEST, ImageEdges, Noise, Task, descend
+from roadsight.poles.alignment.verdict import Limits, too_little
 from roadsight.poles.calibration.calibration import weak_mount
 
-FEWEST_PIXELS = 40
-"""Edge pixels that an image needs to be compared, as many as for an alignment (`Limits`)."""
-FEWEST_POINTS = 30
-"""Road edge points ahead that an image needs to be compared, as for an alignment (`Limits`)."""
+# Scale, in standard deviations, at which the descent starts. Only the insets are free, so that it
+# need not reach as far as a search for a pose.
 _COARSE = 12.0
-"""Scale, in standard deviations, at which the descent starts. Only the insets are free, so that it
-need not reach as far as a search for a pose."""
-_FIXED = 1e10
-"""Inverse variance of a number that must not move: a standard deviation of 1e-5."""
+_FIXED = 1e10  # Inverse variance of a number that must not move: a standard deviation of 1e-5
 
 
 @dataclass(frozen=True)
@@ -73,9 +69,9 @@ def agreement(
     edge, in pixels; a pixel agrees within three standard deviations of the alignment. Road that the
     cloud does not reach does not agree. NaN where image or cloud show too little road.
     """
-    if len(image_edges.uv_px) < FEWEST_PIXELS or len(map_edges.half_m) < FEWEST_POINTS:
-        return float("nan"), float("nan")
     task = given_task(pose, size_px, image_edges, map_edges)
+    if too_little(task, Limits()):
+        return float("nan"), float("nan")
     residuals = descend(task, task.prior_mean, _COARSE).residuals
     known = np.isfinite(residuals[:, 0])
     if not known.any():

@@ -12,132 +12,11 @@ import numpy as np
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.kernels import compiled, compiled_part
 
-_DEGREE = np.pi / 180.0
-"""Radians in a degree."""
-_NEAR_M = 1.0
-"""Points less far in front of the camera are not projected: near its plane they go to infinity."""
+DEGREE = np.pi / 180.0  # Radians in a degree
+# Points less far in front of the camera are not projected: near its plane they go to infinity
+NEAR_M = 1.0
+# Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each
 _BLOCK = 8
-"""Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each."""
-
-
-@compiled(error_model="numpy")
-def camera(start: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """cam_from_world, its derivatives by yaw, pitch, roll (degrees), centre, its derivatives."""
-    heading = start[3] + start[10] * unknowns[0] + unknowns[3] * _DEGREE
-    pitch = start[4] + start[11] * unknowns[0] + unknowns[4] * _DEGREE
-    roll = start[5] + unknowns[5] * _DEGREE
-    sh, ch, sp, cp = np.sin(heading), np.cos(heading), np.sin(pitch), np.cos(pitch)
-    sr, cr = np.sin(roll), np.cos(roll)
-    level = np.array([[ch, -sh, 0.0], [sp * sh, sp * ch, -cp], [sh * cp, ch * cp, sp]])
-    by_yaw = np.array([[-sh, -ch, 0.0], [sp * ch, -sp * sh, 0.0], [ch * cp, -sh * cp, 0.0]])
-    turn = np.empty((4, 3, 3))
-    for k in range(3):
-        turn[0, 0, k] = cr * level[0, k] - sr * level[1, k]
-        turn[0, 1, k] = sr * level[0, k] + cr * level[1, k]
-        turn[0, 2, k] = level[2, k]
-        turn[1, 0, k] = (cr * by_yaw[0, k] - sr * by_yaw[1, k]) * _DEGREE
-        turn[1, 1, k] = (sr * by_yaw[0, k] + cr * by_yaw[1, k]) * _DEGREE
-        turn[1, 2, k] = by_yaw[2, k] * _DEGREE
-        turn[2, 0, k] = -sr * level[2, k] * _DEGREE
-        turn[2, 1, k] = cr * level[2, k] * _DEGREE
-        turn[2, 2, k] = -level[1, k] * _DEGREE
-        turn[3, 0, k] = -turn[0, 1, k] * _DEGREE
-        turn[3, 1, k] = turn[0, 0, k] * _DEGREE
-        turn[3, 2, k] = 0.0
-    north, east = np.cos(start[3]), np.sin(start[3])
-    moves = np.array([[east, north, start[8]], [north, -east, start[9]], [0.0, 0.0, 1.0]])
-    centre = start[:3] + unknowns[:3] @ moves
-    return turn[0], turn[1:], centre, moves
-
-
-@compiled_part(error_model="numpy")
-def _project(
-    xyz: Floats,
-    along: Floats,
-    inward: Floats,
-    half: Floats,
-    inset: float,
-    turn: Floats,
-    centre: Floats,
-    focal: float,
-    middle: Floats,
-) -> Floats:
-    """Rows of projected points by v: u, v, unit tangent (2), half length px, number, x, y, z."""
-    rows = np.empty((len(xyz), 9))
-    count = 0
-    for j in range(len(xyz)):
-        x, y, z = 0.0, 0.0, 0.0
-        tx, ty, tz = 0.0, 0.0, 0.0
-        for k in range(3):
-            d = xyz[j, k] + inset * inward[j, k] - centre[k]
-            x += turn[0, k] * d
-            y += turn[1, k] * d
-            z += turn[2, k] * d
-            tx += turn[0, k] * along[j, k]
-            ty += turn[1, k] * along[j, k]
-            tz += turn[2, k] * along[j, k]
-        if z < _NEAR_M:
-            continue
-        tu, tv = focal * (tx - x / z * tz) / z, focal * (ty - y / z * tz) / z
-        # A piece that points at the camera has no length in the image.
-        length = max(np.sqrt(tu * tu + tv * tv), 1e-12)
-        row = rows[count]
-        row[0], row[1] = middle[0] + focal * x / z, middle[1] + focal * y / z
-        row[2], row[3], row[4], row[5] = tu / length, tv / length, length * half[j], j
-        row[6], row[7], row[8] = x, y, z
-        count += 1
-    rows = rows[:count]
-    return rows[np.argsort(rows[:, 1], kind="mergesort")]
-
-
-@compiled_part(error_model="numpy")
-def _boxes(rows: Floats) -> Floats:
-    """Least and greatest u and v (b, 4) of every few rows, which are sorted by v."""
-    boxes = np.empty(((len(rows) + _BLOCK - 1) // _BLOCK, 4))
-    for b in range(len(boxes)):
-        first, last = b * _BLOCK, min((b + 1) * _BLOCK, len(rows)) - 1
-        low = high = rows[first, 0]
-        for k in range(first + 1, last + 1):
-            low, high = min(low, rows[k, 0]), max(high, rows[k, 0])
-        boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3] = (
-            low,
-            high,
-            rows[first, 1],
-            rows[last, 1],
-        )
-    return boxes
-
-
-@compiled_part(error_model="numpy")
-def _nearest(rows: Floats, boxes: Floats, u: float, v: float) -> int:
-    """Row nearest to a pixel; rows are sorted by v, and there is at least one.
-
-    Far down the road many points lie within few rows of pixels: boxes around a few of them each
-    spare most of the distances.
-    """
-    high = min(int(np.searchsorted(boxes[:, 3], v)), len(boxes) - 1)
-    low = high - 1
-    best, found = np.inf, 0
-    while low >= 0 or high < len(boxes):
-        down = max(v - boxes[low, 3], 0.0) if low >= 0 else np.inf
-        up = max(boxes[high, 2] - v, 0.0) if high < len(boxes) else np.inf
-        apart = min(down, up)
-        if apart * apart >= best:
-            break
-        if up <= down:
-            b = high
-            high += 1
-        else:
-            b = low
-            low -= 1
-        aside = max(boxes[b, 0] - u, u - boxes[b, 1], 0.0)
-        if aside * aside + apart * apart >= best:
-            continue
-        for k in range(b * _BLOCK, min((b + 1) * _BLOCK, len(rows))):
-            gap = (rows[k, 0] - u) ** 2 + (rows[k, 1] - v) ** 2
-            if gap < best:
-                best, found = gap, k
-    return found
 
 
 @compiled(error_model="numpy")
@@ -234,7 +113,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
                     swing += column * offset[k]
                 row[a], row[3 + a] = shift, swing
             # Further along the road the camera also turns with the road's bend and hump.
-            row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
+            row[0] += (start[10] * row[3] + start[11] * row[4]) / DEGREE
             row[6] = focal * (nu * x + nv * y) / z
             row[7] = nu
             row[8] = aside
@@ -265,3 +144,134 @@ def costs(
     for t in range(len(trials)):
         values[t] = misfit(trials[t], start, edges, sides, pixels, groups, noise, scale, False)[0]
     return values
+
+
+@compiled(error_model="numpy")
+def camera(start: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """cam_from_world, its derivatives by yaw, pitch, roll (degrees), centre, its derivatives."""
+    heading = start[3] + start[10] * unknowns[0] + unknowns[3] * DEGREE
+    pitch = start[4] + start[11] * unknowns[0] + unknowns[4] * DEGREE
+    roll = start[5] + unknowns[5] * DEGREE
+    turn = turned(heading, pitch, roll)
+    for a in range(1, 4):
+        for j in range(3):
+            for k in range(3):
+                turn[a, j, k] *= DEGREE
+    north, east = np.cos(start[3]), np.sin(start[3])
+    moves = np.array([[east, north, start[8]], [north, -east, start[9]], [0.0, 0.0, 1.0]])
+    centre = start[:3] + unknowns[:3] @ moves
+    return turn[0], turn[1:], centre, moves
+
+
+@compiled(error_model="numpy")
+def turned(heading: float, pitch: float, roll: float) -> Floats:
+    """Rotation cam_from_world and its slopes by heading, pitch and roll: (4, 3, 3); radians."""
+    sh, ch, sp, cp = np.sin(heading), np.cos(heading), np.sin(pitch), np.cos(pitch)
+    sr, cr = np.sin(roll), np.cos(roll)
+    level = np.array([[ch, -sh, 0.0], [sp * sh, sp * ch, -cp], [sh * cp, ch * cp, sp]])
+    by_yaw = np.array([[-sh, -ch, 0.0], [sp * ch, -sp * sh, 0.0], [ch * cp, -sh * cp, 0.0]])
+    turn = np.empty((4, 3, 3))
+    for k in range(3):
+        turn[0, 0, k] = cr * level[0, k] - sr * level[1, k]
+        turn[0, 1, k] = sr * level[0, k] + cr * level[1, k]
+        turn[0, 2, k] = level[2, k]
+        turn[1, 0, k] = cr * by_yaw[0, k] - sr * by_yaw[1, k]
+        turn[1, 1, k] = sr * by_yaw[0, k] + cr * by_yaw[1, k]
+        turn[1, 2, k] = by_yaw[2, k]
+        turn[2, 0, k] = -sr * level[2, k]
+        turn[2, 1, k] = cr * level[2, k]
+        turn[2, 2, k] = -level[1, k]
+        turn[3, 0, k] = -turn[0, 1, k]
+        turn[3, 1, k] = turn[0, 0, k]
+        turn[3, 2, k] = 0.0
+    return turn
+
+
+@compiled_part(error_model="numpy")
+def _project(
+    xyz: Floats,
+    along: Floats,
+    inward: Floats,
+    half: Floats,
+    inset: float,
+    turn: Floats,
+    centre: Floats,
+    focal: float,
+    middle: Floats,
+) -> Floats:
+    """Rows of projected points by v: u, v, unit tangent (2), half length px, number, x, y, z."""
+    rows = np.empty((len(xyz), 9))
+    count = 0
+    for j in range(len(xyz)):
+        x, y, z = 0.0, 0.0, 0.0
+        tx, ty, tz = 0.0, 0.0, 0.0
+        for k in range(3):
+            d = xyz[j, k] + inset * inward[j, k] - centre[k]
+            x += turn[0, k] * d
+            y += turn[1, k] * d
+            z += turn[2, k] * d
+            tx += turn[0, k] * along[j, k]
+            ty += turn[1, k] * along[j, k]
+            tz += turn[2, k] * along[j, k]
+        if z < NEAR_M:
+            continue
+        tu, tv = focal * (tx - x / z * tz) / z, focal * (ty - y / z * tz) / z
+        # A piece that points at the camera has no length in the image.
+        length = max(np.sqrt(tu * tu + tv * tv), 1e-12)
+        row = rows[count]
+        row[0], row[1] = middle[0] + focal * x / z, middle[1] + focal * y / z
+        row[2], row[3], row[4], row[5] = tu / length, tv / length, length * half[j], j
+        row[6], row[7], row[8] = x, y, z
+        count += 1
+    rows = rows[:count]
+    return rows[np.argsort(rows[:, 1], kind="mergesort")]
+
+
+@compiled_part(error_model="numpy")
+def _boxes(rows: Floats) -> Floats:
+    """Least and greatest u and v (b, 4) of every few rows, which are sorted by v."""
+    boxes = np.empty(((len(rows) + _BLOCK - 1) // _BLOCK, 4))
+    for b in range(len(boxes)):
+        first, last = b * _BLOCK, min((b + 1) * _BLOCK, len(rows)) - 1
+        low = high = rows[first, 0]
+        for k in range(first + 1, last + 1):
+            low, high = min(low, rows[k, 0]), max(high, rows[k, 0])
+        boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3] = (
+            low,
+            high,
+            rows[first, 1],
+            rows[last, 1],
+        )
+    return boxes
+
+
+@compiled_part(error_model="numpy")
+def _nearest(rows: Floats, boxes: Floats, u: float, v: float) -> int:
+    """Row nearest to a pixel; rows are sorted by v, and there is at least one.
+
+    Far down the road many points lie within few rows of pixels: boxes around a few of them each
+    spare most of the distances.
+    """
+    high = min(int(np.searchsorted(boxes[:, 3], v)), len(boxes) - 1)
+    low = high - 1
+    best, found = np.inf, 0
+    while low >= 0 or high < len(boxes):
+        down = max(v - boxes[low, 3], 0.0) if low >= 0 else np.inf
+        up = max(boxes[high, 2] - v, 0.0) if high < len(boxes) else np.inf
+        apart = min(down, up)
+        if apart * apart >= best:
+            break
+        if up <= down:
+            b = high
+            high += 1
+        else:
+            b = low
+            low -= 1
+        aside = max(boxes[b, 0] - u, u - boxes[b, 1], 0.0)
+        if aside * aside + apart * apart >= best:
+            continue
+        for k in range(b * _BLOCK, min((b + 1) * _BLOCK, len(rows))):
+            gap = (rows[k, 0] - u) ** 2 + (rows[k, 1] - v) ** 2
+            if gap < best:
+                best, found = gap, k
+    return found

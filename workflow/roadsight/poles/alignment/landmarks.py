@@ -12,22 +12,15 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled
-from roadsight.poles.alignment.kernel import camera
+from roadsight.poles.alignment.kernel import DEGREE, NEAR_M, camera
 from roadsight.poles.alignment.pose import TURNS
+from roadsight.poles.images.views import VIEWS
 
-VIEWS = ("front", "left", "right")
-"""Views in the order of their numbers."""
-POSE = 8
-"""How many of the unknowns move what is observed: all before the insets."""
+POSE = 8  # How many of the unknowns move what is observed: all before the insets
+# Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-2])
-"""Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px."""
-_BEHIND_M = 1.0
-"""Ends of columns that are less far in front of a view have no row in it."""
+# A side view whose yaw is less certain than this is not used: its axes would fit too many columns
 _BLIND_DEG = 1.0
-"""A side view whose yaw is less certain than this is not used: its axes would fit too many
-columns."""
-_DEGREE = np.pi / 180.0
-"""Radians in a degree."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +174,7 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
     for i in range(len(observed)):
         f = focal * observed[i, 4]
         view = int(observed[i, 5])
-        aside = observed[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
+        aside = observed[i, 6] + (unknowns[TURNS - 1 + view] * DEGREE if view else 0.0)
         c, s = np.cos(aside), np.sin(aside)
         # A side view has an optical axis of its own, which its yaw stands for.
         x = (observed[i, 0] - (0.0 if view else unknowns[7])) / f
@@ -198,7 +191,7 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
             ahead = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
             depth = s * right + c * ahead
             row = observed[i, 2 + end] - f * down / depth
-            rows[i, 1 + end] = row if depth > _BEHIND_M else np.nan
+            rows[i, 1 + end] = row if depth > NEAR_M else np.nan
         rows[i, 3] = np.sqrt(dx * dx + dy * dy)
         rows[i, 4] = 1.0 / (f * (1.0 + x * x))
     return rows

@@ -8,7 +8,6 @@ import numpy as np
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.alignment.landmarks import (
-    VIEWS,
     LandmarkNoise,
     Landmarks,
     MatchedLandmarks,
@@ -18,30 +17,20 @@ from roadsight.poles.alignment.landmarks import (
     observed_rows,
     slopes,
 )
-from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend, search
+from roadsight.poles.alignment.solve import FINEST, MEDIAN_OF_NORMAL, Fit, Task, descend, search
+from roadsight.poles.images.views import VIEWS
 
-_ROUNDS = 3
-"""Rounds of pairing and descent at most, should pairs go to and fro."""
-
-_STARTS = 2
-"""Minima of the road edges that landmarks are tried on."""
-
+_ROUNDS = 3  # Rounds of pairing and descent at most, should pairs go to and fro
+_STARTS = 2  # Minima of the road edges that landmarks are tried on
+# A minimum that costs so much more than the best (log-likelihood) is not tried. An axis without a
+# column costs 4.5, so more than three landmarks would have to speak for it alone.
 _FAR_WORSE = 15.0
-"""A minimum that costs so much more than the best (log-likelihood) is not tried. An axis without a
-column costs 4.5, so more than three landmarks would have to speak for it alone."""
-
-_FEW = 20
-"""Fewer pixels than this do not tell how well edges fit."""
-
+_FEW = 20  # Fewer pixels than this do not tell how well edges fit
+# Edges count up to so many times more or less, which a scatter of half or twice the expected one
+# gives: a few pixels that fit by chance must not outweigh everything else
 _MOST_TRUST = 4.0
-"""Edges count up to so many times more or less, which a scatter of half or twice the expected one
-gives: a few pixels that fit by chance must not outweigh everything else."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
+# Cost of an axis without a column: that of a landmark that is infinitely far off
 _UNEXPLAINED = 0.5 * FINEST**2
-"""Cost of an axis without a column: that of a landmark that is infinitely far off."""
 
 
 def locate(
@@ -61,26 +50,25 @@ def locate(
     task = weighed(task, fits[0])
     fits = [descend(task, fit.unknowns, FINEST) for fit in fits]
     noise = noise or LandmarkNoise()
-    if not _sees(task):
+    if task.landmarks is None:
+        return fits
+    covariance = np.asarray(np.linalg.inv(task.prior_information), np.float64)
+    turns = Turns.of(task.prior_mean, covariance)
+    if not turns.known(task.landmarks.axes.view).any():
         return fits
     found: list[Fit] = []
     for fit in fits[:_STARTS]:
         if fit.cost - fits[0].cost > _FAR_WORSE:
             break
         for one in _hypotheses(task, fit, noise, 2):
-            improved = _improved(task, one, noise)
-            if all(not _same(improved, other) for other in found):
-                found.append(improved)
+            new = _improved(task, one, noise)
+            gaps = (
+                np.abs(new.unknowns - other.unknowns) / np.sqrt(np.diag(other.covariance))
+                for other in found
+            )
+            if not any(gap.max() < 0.1 for gap in gaps):
+                found.append(new)
     return sorted(found, key=lambda fit: fit.cost)
-
-
-def _sees(task: Task) -> bool:
-    """Whether any axis is in a view whose yaw is known."""
-    if task.landmarks is None:
-        return False
-    covariance = np.asarray(np.linalg.inv(task.prior_information), np.float64)
-    turns = Turns.of(task.prior_mean, covariance)
-    return bool(turns.known(task.landmarks.axes.view).any())
 
 
 def weighed(task: Task, fit: Fit) -> Task:
@@ -89,17 +77,13 @@ def weighed(task: Task, fit: Fit) -> Task:
     Lanes and borders by themselves: where one is blurred, the other need not be.
     """
     middle = task.image_edges.groups[2]
-    parts = fit.residuals[:middle, 1], fit.residuals[middle:, 1]
-    left, right = (_trust(part[part < FINEST]) for part in parts)
-    return replace(task, noise=replace(task.noise, weight=(left, right)))
-
-
-def _trust(off: Floats) -> float:
-    """How much pixels count that are this far off, in standard deviations."""
-    if len(off) < _FEW:
-        return 1.0
-    scatter = max(float(np.median(off)) / _MEDIAN_OF_NORMAL, 1e-3)
-    return float(np.clip(scatter**-2, 1.0 / _MOST_TRUST, _MOST_TRUST))
+    trust = [1.0, 1.0]
+    for number, off in enumerate((fit.residuals[:middle, 1], fit.residuals[middle:, 1])):
+        near = off[off < FINEST]
+        if len(near) >= _FEW:
+            scatter = max(float(np.median(near)) / MEDIAN_OF_NORMAL, 1e-3)
+            trust[number] = float(np.clip(scatter**-2, 1.0 / _MOST_TRUST, _MOST_TRUST))
+    return replace(task, noise=replace(task.noise, weight=(trust[0], trust[1])))
 
 
 def _hypotheses(task: Task, fit: Fit, noise: LandmarkNoise, count: int) -> list[Hypothesis]:
@@ -139,28 +123,19 @@ def without_view(task: Task, fit: Fit, view: str) -> Fit:
     return descend(task.with_matched(matched), fit.unknowns, FINEST)
 
 
-def _same(one: Fit, other: Fit) -> bool:
-    gap = np.abs(one.unknowns - other.unknowns) / np.sqrt(np.diag(other.covariance))
-    return bool(gap.max() < 0.1)
-
-
 # Which pole axis in the image is which column of the cloud.
-#
 # Every axis may be one of the columns in its gate or none. Hypotheses are grown axis by axis,
 # each with the pose that its pairs imply (Kalman updates of the linearised bearings); the
 # likeliest few survive. Truth is never asked; two hypotheses that are about as likely stay two
 # minima, and the verdict says that the pose is ambiguous.
 
+# Standard deviations by which an axis and a column may differ: a narrower gate loses true pairs, a
+# wider one makes more hypotheses
 _GATE = 4.0
-"""Standard deviations by which an axis and a column may differ: a narrower gate loses true pairs, a
-wider one makes more hypotheses."""
-
+# Hypotheses that are followed up: with fewer, the true one may drop out while others look as good;
+# time grows with them
 _BEAM = 12
-"""Hypotheses that are followed up: with fewer, the true one may drop out while others look as good;
-time grows with them."""
-
-_LOST_TOP = 0.4
-"""Share of a pole's length that a mask may lose at its thin upper end."""
+_LOST_TOP = 0.4  # Share of a pole's length that a mask may lose at its thin upper end
 
 
 @dataclass(frozen=True)
@@ -213,17 +188,13 @@ def associate(
         own = np.flatnonzero(pairs.axis == axis)
         if not len(own):
             continue
-        grown = [_without(one, noise.clutter) for one in beam]
+        grown = [replace(one, cost=one.cost + noise.clutter) for one in beam]
         for one in beam:
             more = (_with(one, pairs, int(k), pose[0], landmarks) for k in own)
             grown += [hypothesis for hypothesis in more if hypothesis is not None]
         grown.sort(key=lambda one: (one.cost, one.columns.tolist()))
         beam = grown[:_BEAM]
     return beam[:count]
-
-
-def _without(one: Hypothesis, clutter: float) -> Hypothesis:
-    return Hypothesis(one.columns, one.unknowns, one.covariance, one.cost + clutter)
 
 
 def _with(

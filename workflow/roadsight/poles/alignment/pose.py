@@ -35,12 +35,9 @@ UNKNOWNS = (
     "right_yaw_deg",
 )
 ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, CX, INSETS = range(9)
-TURNS = 12
-"""Number of the first yaw of a side view; between `INSETS` and this are the four insets."""
-_TIMES = [1] * INSETS + [2, 2, 2]
-"""How many unknowns share a value of `Spread`."""
-SIZE = len(UNKNOWNS)
-"""How many unknowns there are."""
+TURNS = 12  # Number of the first yaw of a side view; between `INSETS` and this are the four insets
+_TIMES = [1] * INSETS + [2, 2, 2]  # How many unknowns share a value of `Spread`
+SIZE = len(UNKNOWNS)  # How many unknowns there are
 
 
 @dataclass(frozen=True)

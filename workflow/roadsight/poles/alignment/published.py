@@ -27,26 +27,23 @@ from roadsight.poles.alignment.pose import FOCAL
 from roadsight.poles.images.lanes import scale_of
 
 FOOT_M = 0.3048
+# Range of the LiDAR edge points that are compared (authors' code)
 NEAREST_M, FARTHEST_M = 40 * FOOT_M, 800 * FOOT_M
-"""Range of the LiDAR edge points that are compared (authors' code)."""
+# How far a parameter may be from the baseline's, m and degrees (1.1 ft, 0.11; authors' code)
 PUBLISHED_BOUNDS = (AlignmentLimits().bound_m, AlignmentLimits().bound_deg)
-"""How far a parameter may be from the baseline's, m and degrees (1.1 ft, 0.11; authors' code)."""
+# Edge pixels that far off or farther along either axis are no partners (authors' code)
 WINDOW_PX = 300.0
-"""Edge pixels that far off or farther along either axis are no partners (authors' code)."""
-_FIRST_WINDOW_PX = 50.0
-"""The same when the baseline is judged (authors' code)."""
-_NO_PARTNER = 1e6
-"""Cost of a side without points, pixels or any pair (authors' code)."""
+_FIRST_WINDOW_PX = 50.0  # The same when the baseline is judged (authors' code)
+_NO_PARTNER = 1e6  # Cost of a side without points, pixels or any pair (authors' code)
+# A baseline whose cost and distances are below these is taken as it is (authors' code)
 _GOOD_COST, _GOOD_PX = 1400.0, 150.0
-"""A baseline whose cost and distances are below these is taken as it is (authors' code)."""
 _ITERATIONS = 1000
+# Bounds of parameters (feet, degrees) where the baseline is far off (authors' code)
 _MENDED = np.array([[-10, 10], [-11, 11], [-18, 18], [-2, 2], [-3, 3], [-2, 2]], float)
-"""Bounds of parameters (feet, degrees) where the baseline is far off (authors' code)."""
-_WIDE_ROAD_PX = 500.0
-"""Width of edges along a row from which its ends are compared (authors' code)."""
+_WIDE_ROAD_PX = 500.0  # Width of edges along a row from which its ends are compared (authors' code)
 _GL_FROM_CV = np.diag([1.0, -1.0, -1.0])
+# From right, up, back to right, ahead, up
 _LEVEL_FROM_GL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From right, up, back to right, ahead, up."""
 
 
 @dataclass(frozen=True)
@@ -91,54 +88,95 @@ class Edges:
     size_px: tuple[int, int]
 
 
-def whole_pixels(uv_px: ArrayLike) -> Floats:
-    """Whole pixels (n, 2) in which places lie, cut towards zero as in the authors' code.
+def nelder_mead(
+    edges: Edges,
+    start: Floats,
+    focal_px: float,
+    number: int,
+    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
+) -> tuple[Floats, float]:
+    """Parameters (6,) of one image, feet and degrees, and their cost.
 
-    There a pixel begins at its whole number; here that is its middle.
-    """
-    return np.asarray(np.trunc(np.asarray(uv_px, np.float64) + 0.5), np.float64)
-
-
-def by_row(pixels: Floats) -> Floats:
-    """Pixels (m, 2) by row and then by column, as `window_squares` takes them."""
-    return np.ascontiguousarray(pixels[np.lexsort((pixels[:, 0], pixels[:, 1]))])
-
-
-def start_of(unknowns: Floats) -> tuple[Floats, float]:
-    """Parameters (6,) and focal length in pixels of a registered camera.
+    Those of the baseline, where its edges fit; else by Nelder-Mead.
 
     Parameters
     ----------
-    unknowns : (SIZE,) of `pose.UNKNOWNS`; against the line of travel where others take them
-        against the road.
+    start : (6,) of the baseline, the same for all images of a size. focal_px : fixed.
+    number : of the image in its route, from 0. bounds : as `bounds_of`.
     """
-    along, lateral, height, yaw, pitch, roll, log_focal = unknowns[: FOCAL + 1]
-    rotation = _GL_FROM_CV @ cam_from_world(yaw, pitch, roll) @ _LEVEL_FROM_GL
-    moved = -rotation @ np.array([lateral, height, -along]) / FOOT_M
-    angles = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
-    return np.concatenate([moved, angles]), float(np.exp(log_focal))
+    first = (_FIRST_WINDOW_PX, _FIRST_WINDOW_PX)
+    cost = alignment_cost(edges, start, focal_px, first)
+    x_px, y_px = apart = extents_apart(edges, start, focal_px)
+    if cost < _GOOD_COST and x_px < _GOOD_PX and y_px < _GOOD_PX:
+        return start, cost
+    window = window_of(apart)
+    limits = bounds_of(start, number, cost, apart, bounds)
+    result = minimize(
+        lambda parameters: alignment_cost(edges, parameters, focal_px, window),
+        np.clip(start, *limits.T),
+        method="Nelder-Mead",
+        bounds=limits,
+        options={"maxiter": _ITERATIONS},
+    )
+    return result.x, float(result.fun)
 
 
-def pose_in(axes: Axes, parameters: Floats) -> dict[str, float]:
-    """Position (local metres) and attitude of a camera, by the names of the cameras' table."""
-    rotation = Rotation.from_euler("xyz", parameters[3:], degrees=True).as_matrix()
-    position = axes.origin_m - axes.rotation.T @ rotation.T @ parameters[:3] * FOOT_M
-    heading, pitch, roll = attitude_deg(_GL_FROM_CV @ rotation @ axes.rotation)
-    names = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg")
-    return dict(zip(names, map(float, (*position, heading, pitch, roll)), strict=True))
-
-
-def projected(
-    points_ft: Floats, parameters: Floats, focal_px: float, size_px: tuple[int, int]
+def bounds_of(
+    start: Floats,
+    number: int,
+    cost: float,
+    apart_px: tuple[float, float],
+    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
 ) -> Floats:
-    """Whole pixels (n, 2) of points; far outside of the image where they are not ahead."""
-    turn = Rotation.from_euler("xyz", parameters[3:], degrees=True).as_matrix()
-    x, y, z = (points_ft @ turn.T + parameters[:3]).T
-    ahead = -z > 0
-    reach = np.where(ahead, -z, np.nan)
-    middle = (np.asarray(size_px, np.float64) - 1.0) / 2.0
-    uv = middle + focal_px * np.column_stack([x / reach, -y / reach])
-    return np.where(ahead[:, None], whole_pixels(uv), -99_999.0)
+    """Bounds (6, 2) of the parameters, feet and degrees (authors' code).
+
+    The wide ones are about zero and not about the baseline; they are in the same axes as the
+    parameters, so that nothing is turned.
+
+    Parameters
+    ----------
+    start : (6,) baseline. number : of the image in its route, from 0. cost, apart_px : of the
+        baseline, px of an image 1200 px high. bounds : m and degrees.
+    """
+    late = number > 11
+    turn_deg = bounds[1]
+    if late and cost > 2000.0:
+        turn_deg = 0.2 if cost < 3000.0 else 0.5
+    reach = np.repeat([bounds[0] / FOOT_M, turn_deg], 3)
+    found = np.column_stack([start - reach, start + reach])
+    x_px, y_px = apart_px
+    if late and not (x_px < 100.0 and y_px < 100.0):
+        wide = np.array([x_px > 90.0, *[y_px > 90.0] * 5])
+        found[wide] = _MENDED[wide]
+    return found
+
+
+def window_of(apart_px: tuple[float, float]) -> tuple[float, float]:
+    """Window along u and v for edges whose ends are so far apart (authors' code)."""
+    x_px, y_px = (px + 200.0 if px > WINDOW_PX else WINDOW_PX for px in apart_px)
+    return x_px, y_px
+
+
+def extents_apart(edges: Edges, parameters: Floats, focal_px: float) -> tuple[float, float]:
+    """How far the ends of both kinds of edges are apart along u and v, px of an image 1200 px high.
+
+    Along v, the upper ends. Along u, the larger distance of left and right ends on the lowest row
+    on which both are 500 px wide; without such a row the (signed) distance of the left ends, as in
+    the authors' code. NaN where no edge point is in the image.
+    """
+    scale, pixels = scale_of(edges.size_px[1]), np.concatenate(edges.pixels)
+    sides = [projected(side, parameters, focal_px, edges.size_px) for side in edges.points_ft]
+    uv = np.concatenate(sides)
+    uv = uv[((uv >= 0) & (uv <= edges.size_px)).all(axis=1)]
+    if not len(uv) or not len(pixels):
+        return float("nan"), float("nan")
+    y_px = abs(pixels[:, 1].min() - uv[:, 1].min()) / scale
+    for row in np.intersect1d(pixels[:, 1], uv[:, 1])[::-1]:
+        on_row = (kind[kind[:, 1] == row, 0] for kind in (pixels, uv))
+        ends = np.array([(u.min(), u.max()) for u in on_row])
+        if np.ptp(ends, axis=1).min() >= _WIDE_ROAD_PX * scale:
+            return float(np.abs(ends[0] - ends[1]).max() / scale), float(y_px)
+    return float((uv[:, 0].min() - pixels[:, 0].min()) / scale), float(y_px)
 
 
 def alignment_cost(
@@ -202,92 +240,51 @@ def window_squares(points: Floats, pixels: Floats, wide_px: float, high_px: floa
     return found
 
 
-def extents_apart(edges: Edges, parameters: Floats, focal_px: float) -> tuple[float, float]:
-    """How far the ends of both kinds of edges are apart along u and v, px of an image 1200 px high.
-
-    Along v, the upper ends. Along u, the larger distance of left and right ends on the lowest row
-    on which both are 500 px wide; without such a row the (signed) distance of the left ends, as in
-    the authors' code. NaN where no edge point is in the image.
-    """
-    scale, pixels = scale_of(edges.size_px[1]), np.concatenate(edges.pixels)
-    sides = [projected(side, parameters, focal_px, edges.size_px) for side in edges.points_ft]
-    uv = np.concatenate(sides)
-    uv = uv[((uv >= 0) & (uv <= edges.size_px)).all(axis=1)]
-    if not len(uv) or not len(pixels):
-        return float("nan"), float("nan")
-    y_px = abs(pixels[:, 1].min() - uv[:, 1].min()) / scale
-    for row in np.intersect1d(pixels[:, 1], uv[:, 1])[::-1]:
-        on_row = (kind[kind[:, 1] == row, 0] for kind in (pixels, uv))
-        ends = np.array([(u.min(), u.max()) for u in on_row])
-        if np.ptp(ends, axis=1).min() >= _WIDE_ROAD_PX * scale:
-            return float(np.abs(ends[0] - ends[1]).max() / scale), float(y_px)
-    return float((uv[:, 0].min() - pixels[:, 0].min()) / scale), float(y_px)
-
-
-def window_of(apart_px: tuple[float, float]) -> tuple[float, float]:
-    """Window along u and v for edges whose ends are so far apart (authors' code)."""
-    x_px, y_px = (px + 200.0 if px > WINDOW_PX else WINDOW_PX for px in apart_px)
-    return x_px, y_px
-
-
-def bounds_of(
-    start: Floats,
-    number: int,
-    cost: float,
-    apart_px: tuple[float, float],
-    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
+def projected(
+    points_ft: Floats, parameters: Floats, focal_px: float, size_px: tuple[int, int]
 ) -> Floats:
-    """Bounds (6, 2) of the parameters, feet and degrees (authors' code).
+    """Whole pixels (n, 2) of points; far outside of the image where they are not ahead."""
+    turn = Rotation.from_euler("xyz", parameters[3:], degrees=True).as_matrix()
+    x, y, z = (points_ft @ turn.T + parameters[:3]).T
+    ahead = -z > 0
+    reach = np.where(ahead, -z, np.nan)
+    middle = (np.asarray(size_px, np.float64) - 1.0) / 2.0
+    uv = middle + focal_px * np.column_stack([x / reach, -y / reach])
+    return np.where(ahead[:, None], whole_pixels(uv), -99_999.0)
 
-    The wide ones are about zero and not about the baseline; they are in the same axes as the
-    parameters, so that nothing is turned.
+
+def whole_pixels(uv_px: ArrayLike) -> Floats:
+    """Whole pixels (n, 2) in which places lie, cut towards zero as in the authors' code.
+
+    There a pixel begins at its whole number; here that is its middle.
+    """
+    return np.asarray(np.trunc(np.asarray(uv_px, np.float64) + 0.5), np.float64)
+
+
+def by_row(pixels: Floats) -> Floats:
+    """Pixels (m, 2) by row and then by column, as `window_squares` takes them."""
+    return np.ascontiguousarray(pixels[np.lexsort((pixels[:, 0], pixels[:, 1]))])
+
+
+def start_of(unknowns: Floats) -> tuple[Floats, float]:
+    """Parameters (6,) and focal length in pixels of a registered camera.
 
     Parameters
     ----------
-    start : (6,) baseline. number : of the image in its route, from 0. cost, apart_px : of the
-        baseline, px of an image 1200 px high. bounds : m and degrees.
+    unknowns : (SIZE,) of `pose.UNKNOWNS`; against the line of travel where others take them
+        against the road.
     """
-    late = number > 11
-    turn_deg = bounds[1]
-    if late and cost > 2000.0:
-        turn_deg = 0.2 if cost < 3000.0 else 0.5
-    reach = np.repeat([bounds[0] / FOOT_M, turn_deg], 3)
-    found = np.column_stack([start - reach, start + reach])
-    x_px, y_px = apart_px
-    if late and not (x_px < 100.0 and y_px < 100.0):
-        wide = np.array([x_px > 90.0, *[y_px > 90.0] * 5])
-        found[wide] = _MENDED[wide]
-    return found
+    along, lateral, height, yaw, pitch, roll, log_focal = unknowns[: FOCAL + 1]
+    rotation = _GL_FROM_CV @ cam_from_world(yaw, pitch, roll) @ _LEVEL_FROM_GL
+    moved = -rotation @ np.array([lateral, height, -along]) / FOOT_M
+    angles = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
+    return np.concatenate([moved, angles]), float(np.exp(log_focal))
 
 
-def nelder_mead(
-    edges: Edges,
-    start: Floats,
-    focal_px: float,
-    number: int,
-    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
-) -> tuple[Floats, float]:
-    """Parameters (6,) of one image, feet and degrees, and their cost.
-
-    Those of the baseline, where its edges fit; else by Nelder-Mead.
-
-    Parameters
-    ----------
-    start : (6,) of the baseline, the same for all images of a size. focal_px : fixed.
-    number : of the image in its route, from 0. bounds : as `bounds_of`.
-    """
-    first = (_FIRST_WINDOW_PX, _FIRST_WINDOW_PX)
-    cost = alignment_cost(edges, start, focal_px, first)
-    x_px, y_px = apart = extents_apart(edges, start, focal_px)
-    if cost < _GOOD_COST and x_px < _GOOD_PX and y_px < _GOOD_PX:
-        return start, cost
-    window = window_of(apart)
-    limits = bounds_of(start, number, cost, apart, bounds)
-    result = minimize(
-        lambda parameters: alignment_cost(edges, parameters, focal_px, window),
-        np.clip(start, *limits.T),
-        method="Nelder-Mead",
-        bounds=limits,
-        options={"maxiter": _ITERATIONS},
-    )
-    return result.x, float(result.fun)
+def pose_in(axes: Axes, parameters: Floats) -> dict[str, float]:
+    """Position (local metres) and attitude of a camera, by the names of the cameras' table."""
+    rotation = Rotation.from_euler("xyz", parameters[3:], degrees=True).as_matrix()
+    position = axes.origin_m - axes.rotation.T @ rotation.T @ parameters[:3] * FOOT_M
+    heading, pitch, roll = attitude_deg(_GL_FROM_CV @ rotation @ axes.rotation)
+    names = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg")
+    return dict(zip(names, map(float, (*position, heading, pitch, roll)), strict=True))

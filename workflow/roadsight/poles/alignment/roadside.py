@@ -15,11 +15,10 @@ from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 
 _USUAL = Reach()
-
+# Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory
 _BATCH = 20_000
-"""Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory."""
-_FEWEST_ACROSS = 10
-"""Points that either side needs for the road to have a width."""
+_PLAN_M, _HEIGHT_M = 2.5, 20.0  # How far neighbours are used for place and for height
+_FEWEST_ACROSS = 10  # Points that either side needs for the road to have a width
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,7 @@ class RoadEdges:
     tree: cKDTree | None
 
     @classmethod
-    def from_points(
-        cls, xyz_m: ArrayLike, plan_radius_m: float = 2.5, height_radius_m: float = 20.0
-    ) -> RoadEdges:
+    def from_points(cls, xyz_m: ArrayLike) -> RoadEdges:
         """Fit a line in plan and a parabola in height around each edge point.
 
         A raster of 1 ft places each point up to half a cell wrong in plan and in height, which
@@ -49,7 +46,6 @@ class RoadEdges:
         Parameters
         ----------
         xyz_m : (n, 3) edge pixels, local metres.
-        plan_radius_m, height_radius_m : how far neighbours are used for place and for height.
 
         Raises
         ------
@@ -60,13 +56,20 @@ class RoadEdges:
             raise InputError("a road edge point is not finite", where="road edges")
         if not len(xyz):
             return cls(xyz, xyz.copy(), None)
-        tree, coarse = cKDTree(xyz[:, :2]), _coarse(xyz)
+        tree = cKDTree(xyz[:, :2])
+        # For heights the mean point of each square metre in plan is enough.
+        cell = np.floor(xyz[:, :2] - xyz[:, :2].min(axis=0)).astype(np.int64)
+        number = cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]
+        _, index, count = np.unique(number, return_inverse=True, return_counts=True)
+        low = xyz.min(axis=0)
+        sums = [np.bincount(index, column) for column in (xyz - low).T]
+        coarse = np.column_stack(sums) / count[:, None] + low
         coarse_tree = cKDTree(coarse[:, :2])
         moved, along = np.empty_like(xyz), np.empty_like(xyz)
         for first in range(0, len(xyz), _BATCH):
             part = slice(first, first + _BATCH)
-            xy, direction = _on_line(tree, xyz, xyz[part], plan_radius_m)
-            z, slope = _heights(coarse_tree, coarse, xy, direction, xyz[part, 2], height_radius_m)
+            xy, direction = _on_line(tree, xyz, xyz[part])
+            z, slope = _heights(coarse_tree, coarse, xy, direction, xyz[part, 2])
             moved[part] = np.column_stack([xy, z])
             along[part] = np.column_stack([direction, slope])
         return cls(moved, along, cKDTree(moved[:, :2]))
@@ -76,64 +79,6 @@ class RoadEdges:
         if self.tree is None:
             return np.empty(0, np.int64)
         return np.array(sorted(self.tree.query_ball_point(np.asarray(xy_m)[:2], radius_m)), int)
-
-
-def _coarse(xyz: Floats, cell_m: float = 1.0) -> Floats:
-    """Mean point of each cell in plan: enough for heights."""
-    cell = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell_m).astype(np.int64)
-    _, index, count = np.unique(
-        cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True, return_counts=True
-    )
-    low = xyz.min(axis=0)
-    sums = [np.bincount(index, column) for column in (xyz - low).T]
-    return np.column_stack(sums) / count[:, None] + low
-
-
-def _on_line(tree: cKDTree, xyz: Floats, centre: Floats, radius_m: float) -> tuple[Floats, Floats]:
-    """Places on the lines through the neighbours and directions of these, both (n, 2)."""
-    offset, used = _neighbours(tree, xyz, centre[:, :2], 32, radius_m)
-    offset = offset[..., :2]
-    weight = used / used.sum(axis=1, keepdims=True)
-    mean = np.einsum("nk,nki->ni", weight, offset)
-    apart = (offset - mean[:, None]) * used[..., None]
-    spread = np.einsum("nki,nkj->nij", apart, apart)
-    direction = np.linalg.eigh(spread)[1][:, :, 1]
-    foot = mean - np.einsum("ni,ni->n", mean, direction)[:, None] * direction
-    return centre[:, :2] + foot, direction
-
-
-def _heights(
-    tree: cKDTree, xyz: Floats, centre_xy: Floats, direction: Floats, z_m: Floats, radius_m: float
-) -> tuple[Floats, Floats]:
-    """Height and slope at places of parabolas along the edge, (n,) each."""
-    offset, used = _neighbours(tree, xyz, centre_xy, 64, radius_m)
-    station = np.einsum("nki,ni->nk", offset[..., :2], direction)
-    aside = offset[..., 0] * direction[:, None, 1] - offset[..., 1] * direction[:, None, 0]
-    # A bend of 40 m radius stays within; the far side of the road has its own height.
-    used &= np.abs(aside) <= 0.8 + station**2 / 80.0
-    z = np.where(used, offset[..., 2] - z_m[:, None], 0.0)
-    share = np.abs(station) / radius_m
-    weight = np.where(used, (1.0 - np.minimum(share, 1.0) ** 3) ** 3, 0.0)
-    terms = np.stack([np.ones_like(station), station, station**2], axis=-1)
-    square = np.einsum("nk,nki,nkj->nij", weight, terms, terms)
-    right = np.einsum("nk,nki,nk->ni", weight, terms, z)
-    # As if it were known that slopes are below some 10 % and bends of the grade small; a lone
-    # point keeps its height.
-    square += np.diag([1e-6, 1e-2 / 0.1**2, 1e-2 / 1e-3**2])
-    level, slope, _ = np.linalg.solve(square, right[..., None])[..., 0].T
-    return z_m + level, slope
-
-
-def _neighbours(
-    tree: cKDTree, xyz: Floats, centre_xy: Floats, count: int, radius_m: float
-) -> tuple[Floats, Bools]:
-    """Offsets (n, k, 3) to neighbours in plan (heights as they are), and which of them count."""
-    count = min(count, len(xyz))
-    gap, index = tree.query(centre_xy, k=[*range(1, count + 1)], distance_upper_bound=radius_m)
-    used = np.isfinite(gap)
-    found = xyz[np.where(used, index, 0)]
-    found[..., :2] -= centre_xy[:, None]
-    return found, used
 
 
 @dataclass(frozen=True)
@@ -209,14 +154,17 @@ def edges_ahead(
         halves.append(half_m)
     chosen = np.concatenate(parts)
     sides = np.repeat([-1.0, 1.0], [len(p) for p in parts])
-    along = edges.along[chosen]
-    return NearEdges(
-        edges.xyz_m[chosen],
-        along,
-        _inward(edges.xyz_m[chosen], along, sides, np.asarray(track_xy_m, np.float64)),
-        np.concatenate(halves),
-        len(parts[0]),
-    )
+    xyz, along = edges.xyz_m[chosen], edges.along[chosen]
+    # Level unit vectors across the edge, towards the track.
+    inward = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
+    if len(xyz):
+        track = np.asarray(track_xy_m, np.float64)
+        steps = np.diff(track, axis=0)
+        _, nearest = cKDTree(0.5 * (track[:-1] + track[1:])).query(xyz[:, :2])
+        right = np.column_stack([steps[nearest, 1], -steps[nearest, 0]])
+        turned = np.einsum("ni,ni->n", inward[:, :2], right) * -sides < 0
+        inward = np.where(turned[:, None], -inward, inward)
+    return NearEdges(xyz, along, inward, np.concatenate(halves), len(parts[0]))
 
 
 def _thinned(gap_m: Floats, points: int) -> tuple[Ints, Floats]:
@@ -236,13 +184,48 @@ def _thinned(gap_m: Floats, points: int) -> tuple[Ints, Floats]:
     return kept, 0.3 + 0.15 / share[kept]
 
 
-def _inward(xyz_m: Floats, along: Floats, sides: Floats, track_m: Floats) -> Floats:
-    """Level unit vectors across the edge, towards the track."""
-    normal = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
-    if len(xyz_m) == 0:
-        return normal
-    steps = np.diff(track_m, axis=0)
-    _, nearest = cKDTree(0.5 * (track_m[:-1] + track_m[1:])).query(xyz_m[:, :2])
-    right = np.column_stack([steps[nearest, 1], -steps[nearest, 0]])
-    turned = np.einsum("ni,ni->n", normal[:, :2], right) * -sides < 0
-    return np.where(turned[:, None], -normal, normal)
+def _on_line(tree: cKDTree, xyz: Floats, centre: Floats) -> tuple[Floats, Floats]:
+    """Places on the lines through the neighbours and directions of these, both (n, 2)."""
+    offset, used = _neighbours(tree, xyz, centre[:, :2], 32, _PLAN_M)
+    offset = offset[..., :2]
+    weight = used / used.sum(axis=1, keepdims=True)
+    mean = np.einsum("nk,nki->ni", weight, offset)
+    apart = (offset - mean[:, None]) * used[..., None]
+    spread = np.einsum("nki,nkj->nij", apart, apart)
+    direction = np.linalg.eigh(spread)[1][:, :, 1]
+    foot = mean - np.einsum("ni,ni->n", mean, direction)[:, None] * direction
+    return centre[:, :2] + foot, direction
+
+
+def _heights(
+    tree: cKDTree, xyz: Floats, centre_xy: Floats, direction: Floats, z_m: Floats
+) -> tuple[Floats, Floats]:
+    """Height and slope at places of parabolas along the edge, (n,) each."""
+    offset, used = _neighbours(tree, xyz, centre_xy, 64, _HEIGHT_M)
+    station = np.einsum("nki,ni->nk", offset[..., :2], direction)
+    aside = offset[..., 0] * direction[:, None, 1] - offset[..., 1] * direction[:, None, 0]
+    # A bend of 40 m radius stays within; the far side of the road has its own height.
+    used &= np.abs(aside) <= 0.8 + station**2 / 80.0
+    z = np.where(used, offset[..., 2] - z_m[:, None], 0.0)
+    share = np.abs(station) / _HEIGHT_M
+    weight = np.where(used, (1.0 - np.minimum(share, 1.0) ** 3) ** 3, 0.0)
+    terms = np.stack([np.ones_like(station), station, station**2], axis=-1)
+    square = np.einsum("nk,nki,nkj->nij", weight, terms, terms)
+    right = np.einsum("nk,nki,nk->ni", weight, terms, z)
+    # As if it were known that slopes are below some 10 % and bends of the grade small; a lone
+    # point keeps its height.
+    square += np.diag([1e-6, 1e-2 / 0.1**2, 1e-2 / 1e-3**2])
+    level, slope, _ = np.linalg.solve(square, right[..., None])[..., 0].T
+    return z_m + level, slope
+
+
+def _neighbours(
+    tree: cKDTree, xyz: Floats, centre_xy: Floats, count: int, radius_m: float
+) -> tuple[Floats, Bools]:
+    """Offsets (n, k, 3) to neighbours in plan (heights as they are), and which of them count."""
+    count = min(count, len(xyz))
+    gap, index = tree.query(centre_xy, k=[*range(1, count + 1)], distance_upper_bound=radius_m)
+    used = np.isfinite(gap)
+    found = xyz[np.where(used, index, 0)]
+    found[..., :2] -= centre_xy[:, None]
+    return found, used

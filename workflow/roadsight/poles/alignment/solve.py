@@ -60,10 +60,10 @@ class ImageEdges:
         return self.from_pixels(self.uv_px, np.where(group % 2, 1, -1), group < 2, points)
 
 
+# Error of a road edge across, one standard deviation, as a share of the points' spacing: an edge
+# lies anywhere between a point of the road and one beside it, and is smoothed along. Measured on
+# the generated rural road: 0.07 m at 8 pulses/m2 and 0.16 m at 2, against the edges of 24.
 _OF_SPACING = 0.2
-"""Error of a road edge across, one standard deviation, as a share of the points' spacing: an edge
-lies anywhere between a point of the road and one beside it, and is smoothed along. Measured on the
-generated rural road: 0.07 m at 8 pulses/m2 and 0.16 m at 2, against the edges of 24."""
 
 
 @dataclass(frozen=True)
@@ -185,17 +185,9 @@ class Task:
 
         Landmarks count in all but the residuals, which are those of the edge pixels.
         """
-        start, edges, sides = self.scene
+        pixels = self.image_edges.uv_px, self.image_edges.groups
         cost, normal, gradient, residuals = misfit(
-            unknowns,
-            start,
-            edges,
-            sides,
-            self.image_edges.uv_px,
-            self.image_edges.groups,
-            self.noise.table(),
-            scale,
-            slopes,
+            unknowns, *self.scene, *pixels, self.noise.table(), scale, slopes
         )
         apart = unknowns - self.prior_mean
         expected = 0.5 * apart @ self.prior_information @ apart
@@ -220,8 +212,8 @@ class Task:
         """Cost of many sets of unknowns (t, k), on few of the pixels and of the edge points."""
         few = self.coarse
         share = len(self.image_edges.uv_px) / max(len(few.uv_px), 1)
-        start, edges, sides = self.coarse_scene
-        data = costs(trials, start, edges, sides, few.uv_px, few.groups, self.noise.table(), scale)
+        pixels = few.uv_px, few.groups
+        data = costs(trials, *self.coarse_scene, *pixels, self.noise.table(), scale)
         apart = trials - self.prior_mean
         return share * data + 0.5 * np.einsum("ti,ij,tj->t", apart, self.prior_information, apart)
 
@@ -257,24 +249,53 @@ class Fit:
         return normal, gradient
 
 
-_SCANNED = 100
-"""Edge points in a scan, about: it only has to tell which valley is the lowest."""
-
+# Median of the absolute value of a standard normal variable
+MEDIAN_OF_NORMAL = 0.6745
+_SCANNED = 100  # Edge points in a scan, about: it only has to tell which valley is the lowest
 _State = tuple[float, Floats, Floats, Floats]
-
+# Scale of the last descent, in standard deviations. What is further off hardly counts and does not
+# agree.
 FINEST = 3.0
-"""Scale of the last descent, in standard deviations. What is further off hardly counts and does not
-agree."""
-
+# Steps at a coarse scale at most, whose minimum is only a start; three times as many at the finest
 _STEPS = 5
-"""Steps at a coarse scale at most, whose minimum is only a start; three times as many at the
-finest."""
+_INSETS = np.arange(INSETS, TURNS)  # Numbers of the insets among the unknowns
+_HELD = 1e9  # Stiffness of an unknown that is held; where the expectation alone speaks, it is 1
 
-_INSETS = np.arange(INSETS, TURNS)
-"""Numbers of the insets among the unknowns."""
 
-_HELD = 1e9
-"""Stiffness of an unknown that is held; where the expectation alone speaks, it is 1."""
+# Range at which an error across the road is counted as a turn; a shorter one calls for the grid
+# search more often
+_NEAR_M = 20.0
+_PULL = 16.0  # Scale, in standard deviations of a pixel, from which a descent still finds its edges
+
+
+def search(task: Task, starts: int = 3) -> list[Fit]:
+    """Minima, the best first, from a grid over yaw, pitch and lateral place.
+
+    Where the expectation leaves less open than edges pull from, there is one minimum: the one that
+    is downhill from there.
+    """
+    sigma = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
+    focal_px = np.exp(task.prior_mean[FOCAL])
+    # How far two standard deviations of the expected pose move road edges in the image.
+    turn = max(np.radians(sigma[YAW]), np.radians(sigma[PITCH]), sigma[LATERAL] / _NEAR_M)
+    pull = float(2.0 * turn * focal_px) / task.noise.pixel_px
+    if pull <= _PULL:
+        return [descend(task, task.prior_mean, max(pull, FINEST))]
+    # Scale at which the expected pose pulls from as far as it may be wrong.
+    scale = float(max(8.0, focal_px * np.radians(sigma[YAW]) / task.noise.pixel_px))
+    grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    trials = np.repeat(task.prior_mean[None], len(grid), axis=0)
+    trials[:, [YAW, PITCH, LATERAL]] += grid * sigma[[YAW, PITCH, LATERAL]]
+    values = task.scan(trials, 0.5 * scale)
+    chosen: list[int] = []
+    for number in np.argsort(values, kind="stable"):
+        apart = [np.abs(grid[number] - grid[other]).max() for other in chosen]
+        if not apart or min(apart) > 1:
+            chosen.append(int(number))
+        if len(chosen) == starts:
+            break
+    fits = [descend(task, trials[number], 0.5 * scale) for number in chosen]
+    return sorted(fits, key=lambda fit: fit.cost)
 
 
 def descend(task: Task, unknowns: Floats, scale: float) -> Fit:
@@ -328,53 +349,3 @@ def _settle(
             if damping > 1e4:
                 break
     return unknowns, state
-
-
-# Where to look for the pose of one image: a grid over what the expectation leaves open.
-
-_NEAR_M = 20.0
-"""Range at which an error across the road is counted as a turn; a shorter one calls for the grid
-search more often."""
-
-_PULL = 16.0
-"""Scale, in standard deviations of a pixel, from which a descent still finds its edges."""
-
-
-def coarse_scale(task: Task) -> float:
-    """Scale at which the expected pose pulls from as far as it may be wrong, at least 8."""
-    sigma_deg = np.sqrt(np.linalg.inv(task.prior_information)[YAW, YAW])
-    reach_px = np.exp(task.prior_mean[FOCAL]) * np.radians(sigma_deg)
-    return float(max(8.0, reach_px / task.noise.pixel_px))
-
-
-def uncertain_px(task: Task) -> float:
-    """How far two standard deviations of the expected pose move road edges in the image."""
-    sigma = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
-    turn = max(np.radians(sigma[YAW]), np.radians(sigma[PITCH]), sigma[LATERAL] / _NEAR_M)
-    return float(2.0 * turn * np.exp(task.prior_mean[FOCAL]))
-
-
-def search(task: Task, starts: int = 3) -> list[Fit]:
-    """Minima, the best first, from a grid over yaw, pitch and lateral place.
-
-    Where the expectation leaves less open than edges pull from, there is one minimum: the one that
-    is downhill from there.
-    """
-    pull = uncertain_px(task) / task.noise.pixel_px
-    if pull <= _PULL:
-        return [descend(task, task.prior_mean, max(pull, FINEST))]
-    sigma = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
-    scale = coarse_scale(task)
-    grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    trials = np.repeat(task.prior_mean[None], len(grid), axis=0)
-    trials[:, [YAW, PITCH, LATERAL]] += grid * sigma[[YAW, PITCH, LATERAL]]
-    values = task.scan(trials, 0.5 * scale)
-    chosen: list[int] = []
-    for number in np.argsort(values, kind="stable"):
-        apart = [np.abs(grid[number] - grid[other]).max() for other in chosen]
-        if not apart or min(apart) > 1:
-            chosen.append(int(number))
-        if len(chosen) == starts:
-            break
-    fits = [descend(task, trials[number], 0.5 * scale) for number in chosen]
-    return sorted(fits, key=lambda fit: fit.cost)

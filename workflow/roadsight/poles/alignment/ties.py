@@ -19,36 +19,27 @@ from roadsight.poles.alignment.drift import DriftModel, axes
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit, shared_residuals
 from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
+from roadsight.poles.alignment.solve import MEDIAN_OF_NORMAL
 
+# Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
+# narrow against wrong matches. The last one is that of the result.
 SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
-"""Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
-narrow against wrong matches. The last one is that of the result."""
-
+# Scales of the rounds before these where images tell each other their poses. Images that are
+# paired with a wrong pole are 20 to 35 sigmas from their neighbours, which from 12 on tears them
+# off instead of pulling them back (`docs/decisions/097-links-hold-before-they-tear.md`).
 _HOLDING = (48.0, 48.0, 24.0, 24.0)
-"""Scales of the rounds before these where images tell each other their poses. Images that are
-paired with a wrong pole are 20 to 35 sigmas from their neighbours, which from 12 on tears them off
-instead of pulling them back (`docs/decisions/097-links-hold-before-they-tear.md`)."""
-
+# One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
+# points tell little about the way along the road until the headings are right.
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
-"""One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
-points tell little about the way along the road until the headings are right."""
-
-_FEWEST = 12
-"""Shared points that must agree: the relative pose of two images has five numbers."""
-
+_FEWEST = 12  # Shared points that must agree: the relative pose of two images has five numbers
+# One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
+# of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`).
 _PIXEL_PX = 0.4
-"""One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
-of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`)."""
-
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
+# Share of shared points that tell something new: they lie on few things, seen by one lens
 _INDEPENDENT = 0.15
-"""Share of shared points that tell something new: they lie on few things, seen by one lens."""
 
 
 # A chain of Gaussian unknowns: what all but one of its members say about that one.
-#
 # Every member has a prior, what it measured itself, and links with the next member. Messages run
 # along the chain once either way (Kalman filter and smoother in information form), so that a
 # drive of any length costs time and memory in proportion to its images.
@@ -79,18 +70,13 @@ class Normal:
         return covariance @ self.right, 0.5 * (covariance + covariance.T)
 
 
+# Keeps a step short: what images share is far from linear along the road
 HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
-"""Keeps a step short: what images share is far from linear along the road."""
-
+# Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
+# what is usual for the six numbers of a pose
 _SOFT = 4.0 * POSED
-"""Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
-what is usual for the six numbers of a pose."""
-
-LENS = INSETS - POSED
-"""How many numbers of the lens images share: focal length and principal point."""
-
-_PLACE = np.array([ALONG, LATERAL])
-"""Numbers of the place on the road, whose error is the track's."""
+LENS = INSETS - POSED  # How many numbers of the lens images share: focal length and principal point
+_PLACE = np.array([ALONG, LATERAL])  # Numbers of the place on the road, whose error is the track's
 
 
 @dataclass(frozen=True)
@@ -137,7 +123,10 @@ def told_by_others(
     for scale in (*_HOLDING, *SCALES[:-1]):
         priors, own, links = _misfits(members, now, mean[0], spread, model, scale)
         priors = [one + HELD for one in priors]
-        others, weights = _weighed(priors, own, links, weights)
+        counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
+        others = others_say(priors, counted, links)
+        off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
+        weights = (1.0 / (1.0 + off / _SOFT)) ** 2
         steps = [(r + o.times(w)).least()[0] for r, o, w in zip(others, own, weights, strict=True)]
         now = [np.r_[x[:POSED] + step, x[POSED:]] for x, step in zip(now, steps, strict=True)]
     priors, own, links = _misfits(members, now, mean[0], spread, model, SCALES[-1])
@@ -172,23 +161,17 @@ def _misfits(
     nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
     priors = [swaying(x, mean, spread) for x in now]
     priors[0] = priors[0] + first_place(members[0], now[0], mean, model)
-    own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
+    measured = [member.measured or nothing for member in members]
+    own = [
+        Normal(one.matrix, one.right - one.matrix @ x[:POSED])
+        for one, x in zip(measured, now, strict=True)
+    ]
     links = []
     for pair, at in zip(pairwise(members), pairwise(now), strict=True):
         points = shared_points(pair, at, scale)
         alike = Normal(points.matrix[:-LENS, :-LENS], points.right[:-LENS])
         links.append(drifting(*pair, at, mean, model) + alike)
     return priors, own, links
-
-
-def _weighed(
-    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal], weights: Floats
-) -> tuple[list[Normal], Floats]:
-    """What others say with the weights so far, and the weights that follow from it."""
-    counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
-    others = others_say(priors, counted, links)
-    off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
-    return others, (1.0 / (1.0 + off / _SOFT)) ** 2
 
 
 def _rests_on_mean(
@@ -233,11 +216,6 @@ def _rests_on_mean(
     return found
 
 
-def _moved(one: Normal, at: Floats) -> Normal:
-    """Misfit of the step from a place instead of the place."""
-    return Normal(one.matrix, one.right - one.matrix @ at[:POSED])
-
-
 def swaying(at: Floats, mean: Floats, spread: Spread) -> Normal:
     """The vehicle about the drive's mean; where it is on the road is the track's matter."""
     weight = spread.vector()[:POSED] ** -2.0
@@ -280,19 +258,14 @@ def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale:
     origin = np.array([start.x_m, start.y_m, start.z_road_m])
     starts = start.vector(origin), other.place.start.vector(origin)
     residuals = shared_residuals(at, starts, one.shared, _PIXEL_PX)
-    sigma_px = _PIXEL_PX * _scatter(residuals, scale)
+    # How much coarser the points are than expected, from those that agree; never finer.
+    near = np.abs(residuals[np.abs(residuals) < scale])
+    usual = float(np.median(near)) / MEDIAN_OF_NORMAL if len(near) >= _FEWEST else 1.0
+    sigma_px = _PIXEL_PX * max(usual, 1.0)
     normal, gradient, residuals = shared_misfit(at, starts, one.shared, sigma_px, scale)
     if np.count_nonzero(np.abs(residuals) < scale) < _FEWEST:
         return nothing
     return Normal(_INDEPENDENT * normal, -_INDEPENDENT * gradient)
-
-
-def _scatter(residuals: Floats, scale: float) -> float:
-    """How much coarser the points are than expected, from those that agree; never finer."""
-    near = np.abs(residuals[np.abs(residuals) < scale])
-    if len(near) < _FEWEST:
-        return 1.0
-    return max(float(np.median(near)) / _MEDIAN_OF_NORMAL, 1.0)
 
 
 def pose_misfit(
@@ -320,9 +293,6 @@ def pose_misfit(
     ).T
 
 
-_Solved = tuple[Floats, Floats, Floats]
-
-
 def others_say(
     priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal]
 ) -> list[Normal]:
@@ -334,7 +304,11 @@ def others_say(
         (2 k, 2 k).
     """
     ahead = _swept(priors, own, links)
-    turned = [_swapped(link) for link in links[::-1]]
+    turned = []
+    for link in links[::-1]:
+        half = len(link.right) // 2
+        order = np.r_[half : 2 * half, :half]
+        turned.append(Normal(link.matrix[np.ix_(order, order)], link.right[order]))
     back = _swept(priors[::-1], own[::-1], turned)[::-1]
     return [a + p + b for a, p, b in zip(ahead, priors, back, strict=True)]
 
@@ -354,7 +328,9 @@ def _swept(
     return said
 
 
-def solve_bordered(members: Sequence[Normal], links: Sequence[Normal], border: Normal) -> _Solved:
+def solve_bordered(
+    members: Sequence[Normal], links: Sequence[Normal], border: Normal
+) -> tuple[Floats, Floats, Floats]:
     """Least misfit of a chain whose members share some numbers, such as those of one camera.
 
     Members are eliminated one by one, then found from the last to the first.
@@ -398,12 +374,6 @@ def eliminated(one: Normal, size: int) -> tuple[Normal, Normal]:
     matrix = one.matrix[size:, size:] - cross.T @ gain.matrix
     right = one.right[size:] - cross.T @ gain.right
     return Normal(0.5 * (matrix + matrix.T), right), gain
-
-
-def _swapped(link: Normal) -> Normal:
-    half = len(link.right) // 2
-    order = np.r_[half : 2 * half, :half]
-    return Normal(link.matrix[np.ix_(order, order)], link.right[order])
 
 
 def surprise(own: Normal, others: Normal) -> float:

@@ -16,42 +16,26 @@ from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled
-from roadsight.poles.images import evidence
+from roadsight.poles.images.evidence import GROUND, LEVEL, MARKED, RAISED, UPRIGHT
 
+# Kinds of samples: sides, tops and feet of things, markings, ground, raised surfaces, upright and
+# level edges of brightness
 SIDE, TOP, FOOT, MARK, FLAT, TALL, BRIGHT_SIDE, BRIGHT_TOP = range(8)
-"""Kinds of samples: sides, tops and feet of things, markings, ground, raised surfaces, upright and
-level edges of brightness."""
-FIELD_OF: Ints = np.array(
-    [
-        evidence.UPRIGHT,
-        evidence.LEVEL,
-        evidence.LEVEL,
-        evidence.MARKED,
-        evidence.GROUND,
-        evidence.RAISED,
-        evidence.UPRIGHT,
-        evidence.LEVEL,
-    ],
-    np.int64,
-)
-"""Field of the image that a kind looks up."""
+# Field of the image that a kind looks up
+FIELD_OF: Ints = np.array([UPRIGHT, LEVEL, LEVEL, MARKED, GROUND, RAISED, UPRIGHT, LEVEL], np.int64)
+# Farther returns are not used: at 80 m a cell of 3 px is 0.3 m wide, a lane's line is lost
 FARTHEST_M = 80.0
-"""Farther returns are not used: at 80 m a cell of 3 px is 0.3 m wide, a lane's line is lost."""
-_NEAREST_M = 2.0
-"""Nearer returns are of the vehicle itself."""
+_NEAREST_M = 2.0  # Nearer returns are of the vehicle itself
+# Width of a cell. Narrower ones leave gaps between the beams of a 64-channel scanner at 20 m.
 _CELL_PX = 3.0
-"""Width of a cell. Narrower ones leave gaps between the beams of a 64-channel scanner at 20 m."""
-_REACH = 3
-"""Cells that a look sideways passes at most: sparse returns leave empty ones between."""
+_REACH = 3  # Cells that a look sideways passes at most: sparse returns leave empty ones between
+# Ground is compared in intensity within squares this wide: wider than a line, narrower than a lane
 _CONTRAST_CELL_M = 1.5
-"""Ground is compared in intensity within squares this wide: wider than a line, narrower than a
-lane."""
-_FEWEST = 20
-"""Returns that a square needs for its spread of intensity."""
+_FEWEST = 20  # Returns that a square needs for its spread of intensity
+# A marking is so many robust standard deviations brighter than the ground around
 _MARK_CONTRAST = 3.0
-"""A marking is so many robust standard deviations brighter than the ground around."""
+# Returns within this of the terrain model are ground; its error on roads is about 0.05 m
 _GROUND_M = 0.2
-"""Returns within this of the terrain model are ground; its error on roads is about 0.05 m."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +80,6 @@ class SceneCloud:
             np.concatenate([part.contrast for part in whole]),
         )
 
-    @property
-    def is_ground(self) -> Bools:
-        """Points (n,) on the ground."""
-        return np.abs(self.height_m) < _GROUND_M
-
 
 def intensity_contrast(xyz_m: Floats, intensity: Floats, is_ground: Bools) -> Floats:
     """Robust standard deviations (n,) by which ground is brighter than the ground around.
@@ -126,6 +105,41 @@ def intensity_contrast(xyz_m: Floats, intensity: Floats, is_ground: Bools) -> Fl
     found[np.repeat(count, count) < _FEWEST] = 0.0
     contrast[own[order]] = found
     return contrast
+
+
+def visible_samples(
+    cloud: SceneCloud, rotation: Floats, position_m: Floats, lens: Floats, shape: tuple[int, int]
+) -> tuple[Ints, Ints]:
+    """Kinds (m,) and numbers of points (m,) of what a camera would see.
+
+    Parameters
+    ----------
+    rotation : cam_from_world (3, 3). position_m : (3,). lens : (3,) focal length and principal
+        point, px. shape : rows and columns of the image.
+    """
+    rows, columns = (int(np.ceil(size / _CELL_PX)) for size in shape)
+    rotation, position_m = np.ascontiguousarray(rotation), np.ascontiguousarray(position_m)
+    depth, number, uvz, cell = nearest_returns(
+        cloud.xyz_m, rotation, position_m, lens, rows, columns
+    )
+    ends, brightness = front_returns(depth, uvz, cell, cloud.intensity)
+    hidden = hidden_cells(depth)
+    kinds, points = depth_edges(depth, ends, number, hidden, cloud.height_m)
+    shown = np.isfinite(depth) & ~hidden
+    front = number[shown]
+    is_ground = np.abs(cloud.height_m[front]) < _GROUND_M
+    mark = front[(cloud.contrast[front] > _MARK_CONTRAST) & is_ground]
+    # Every second cell, as on a chessboard: surfaces are smooth and many.
+    chess = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
+    surface = number[shown & chess]
+    flat = surface[np.abs(cloud.height_m[surface]) < 0.1]
+    tall = surface[cloud.height_m[surface] > 0.5]
+    brightness = np.where(shown, brightness, np.nan)
+    upright = number[brightness_edges(depth, brightness, 1)]
+    level = number[brightness_edges(depth, brightness, 0)]
+    groups = (MARK, mark), (FLAT, flat), (TALL, tall), (BRIGHT_SIDE, upright), (BRIGHT_TOP, level)
+    all_kinds = [kinds, *(np.full(len(own), kind, np.int64) for kind, own in groups)]
+    return np.concatenate(all_kinds), np.concatenate([points, *(own for _, own in groups)])
 
 
 @compiled()
@@ -271,37 +285,3 @@ def brightness_edges(depth: Floats, brightness: Floats, axis: int) -> Bools:
     usual = ndimage.gaussian_filter(step, 8) / share
     peak = (step >= np.roll(step, 1, axis)) & (step >= np.roll(step, -1, axis))
     return np.asarray(smooth & (step > 2.5 * usual) & (step > 0) & peak)
-
-
-def visible_samples(
-    cloud: SceneCloud, rotation: Floats, position_m: Floats, lens: Floats, shape: tuple[int, int]
-) -> tuple[Ints, Ints]:
-    """Kinds (m,) and numbers of points (m,) of what a camera would see.
-
-    Parameters
-    ----------
-    rotation : cam_from_world (3, 3). position_m : (3,). lens : (3,) focal length and principal
-        point, px. shape : rows and columns of the image.
-    """
-    rows, columns = (int(np.ceil(size / _CELL_PX)) for size in shape)
-    rotation, position_m = np.ascontiguousarray(rotation), np.ascontiguousarray(position_m)
-    depth, number, uvz, cell = nearest_returns(
-        cloud.xyz_m, rotation, position_m, lens, rows, columns
-    )
-    ends, brightness = front_returns(depth, uvz, cell, cloud.intensity)
-    hidden = hidden_cells(depth)
-    kinds, points = depth_edges(depth, ends, number, hidden, cloud.height_m)
-    shown = np.isfinite(depth) & ~hidden
-    front = number[shown]
-    mark = front[(cloud.contrast[front] > _MARK_CONTRAST) & cloud.is_ground[front]]
-    # Every second cell, as on a chessboard: surfaces are smooth and many.
-    chess = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
-    surface = number[shown & chess]
-    flat = surface[np.abs(cloud.height_m[surface]) < 0.1]
-    tall = surface[cloud.height_m[surface] > 0.5]
-    brightness = np.where(shown, brightness, np.nan)
-    upright = number[brightness_edges(depth, brightness, 1)]
-    level = number[brightness_edges(depth, brightness, 0)]
-    groups = (MARK, mark), (FLAT, flat), (TALL, tall), (BRIGHT_SIDE, upright), (BRIGHT_TOP, level)
-    all_kinds = [kinds, *(np.full(len(own), kind, np.int64) for kind, own in groups)]
-    return np.concatenate(all_kinds), np.concatenate([points, *(own for _, own in groups)])

@@ -29,21 +29,15 @@ from roadsight.poles.alignment.pose import (
     Spread,
 )
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, search
+from roadsight.poles.alignment.verdict import Limits
 
-_HFOV_DEG = (8.0, 130.0)
-"""Horizontal fields of view that a camera on a vehicle may have."""
-_HEIGHT_M = (0.5, 5.0)
-"""Heights above the road that it may have."""
-_ANY_TURN_DEG = 60.0
-"""One standard deviation of the yaw of a side view of which nothing is known."""
-_SURE_PX = 0.01
-"""Least standard deviation of a principal point that is known; zero has no inverse."""
-_FEWEST_PIXELS = 40
-"""Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)."""
-_MIDDLE = 0.75
-"""Share of half the road beyond which a line is no line at its edge."""
+_HFOV_DEG = (8.0, 130.0)  # Horizontal fields of view that a camera on a vehicle may have
+_HEIGHT_M = (0.5, 5.0)  # Heights above the road that it may have
+_ANY_TURN_DEG = 60.0  # One standard deviation of the yaw of a side view of which nothing is known
+_SURE_PX = 0.01  # Least standard deviation of a principal point that is known; zero has no inverse
+_MIDDLE = 0.75  # Share of half the road beyond which a line is no line at its edge
+# Makes the task of one image from the expected unknowns and the inverse of their covariance
 Loader = Callable[[Floats, Floats], Task]
-"""Makes the task of one image from the expected unknowns and the inverse of their covariance."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +90,17 @@ def with_centre_held(mount: Mount) -> Mount:
 
     A yaw that was stated with another point turns by what keeps the middle of the image in place.
     """
-    mean, covariance = mount.mean.copy(), mount.covariance.copy()
+    mean = mount.mean.copy()
     mean[YAW] -= np.degrees(np.arctan(mean[CX] * np.exp(-mean[FOCAL])))
-    mean[CX] = 0.0
-    covariance[CX], covariance[:, CX] = 0.0, 0.0
-    covariance[CX, CX] = _SURE_PX**2
+    return with_known(replace(mount, mean=mean), CX, 0.0, _SURE_PX)
+
+
+def with_known(mount: Mount, number: int, value: float, sigma: float) -> Mount:
+    """The same mount with one of its unknowns known this well, apart from all others."""
+    mean, covariance = mount.mean.copy(), mount.covariance.copy()
+    mean[number] = value
+    covariance[number], covariance[:, number] = 0.0, 0.0
+    covariance[number, number] = sigma**2
     return replace(mount, mean=mean, covariance=covariance)
 
 
@@ -162,7 +162,7 @@ def usable(task: Task, fits: Sequence[Fit]) -> bool:
     A middle line that was taken for the line at the edge fits as well, with an inset of half the
     road.
     """
-    if not fits or len(task.image_edges.uv_px) < _FEWEST_PIXELS:
+    if not fits or len(task.image_edges.uv_px) < Limits.fewest_pixels:
         return False
     near = fits[0].residuals[:, 1] < FINEST
     inset_m = fits[0].unknowns[INSETS:TURNS].max()
@@ -193,7 +193,11 @@ def calibrate(
     fits: list[Fit | None] = []
     for _ in range(rounds):
         information = mount.expected(spread)
-        fits = [_fit(loader(mount.mean, information), starts) for loader in loaders]
+        fits = []
+        for loader in loaders:
+            task = loader(mount.mean, information).coarser()
+            minima = search(task, starts)
+            fits.append(minima[0] if usable(task, minima) else None)
         used = [fit for fit in fits if fit is not None]
         if len(used) < 3:
             raise InputError(
@@ -210,12 +214,6 @@ def calibrate(
     return mount, fits
 
 
-def _fit(task: Task, starts: int) -> Fit | None:
-    task = task.coarser()
-    fits = search(task, starts)
-    return fits[0] if usable(task, fits) else None
-
-
 def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
     """Mean unknowns under the linearised misfits of the images.
 
@@ -225,38 +223,29 @@ def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
     """
     pull = np.diag(1.0 / spread.vector() ** 2)
     known = np.linalg.inv(prior.covariance)
-    parts = [_marginal(fit, pull) for fit in fits]
+    # Information of each image on the mean, and that times the mean that it alone would give.
+    # Images see the same stretch of road, and its errors, again and again; how they sway is their
+    # own.
+    parts = []
+    for fit in fits:
+        normal, gradient = fit.taught(OVERLAP, MARK_OVERLAP)
+        gain = np.linalg.solve(normal + pull, np.eye(SIZE))
+        information = pull - pull @ gain @ pull
+        right = pull @ gain @ (normal @ fit.unknowns - gradient)
+        parts.append((0.5 * (information + information.T), right))
     weights = np.ones(len(parts))
     mean = prior.mean
     for _ in range(10):
         total = known + sum(w * a for w, (a, _) in zip(weights, parts, strict=True))
         right = known @ prior.mean + sum(w * b for w, (_, b) in zip(weights, parts, strict=True))
         mean = np.linalg.solve(total, right)
-        apart = np.array([_distance(fit, mean, pull) for fit in fits])
+        gaps = (fit.normal @ (fit.unknowns - mean) - fit.gradient for fit in fits)
+        off = [np.linalg.solve(fit.normal + pull, gap) for fit, gap in zip(fits, gaps, strict=True)]
+        apart = np.array([float(one @ pull @ one) for one in off])  # squared, in sigmas
         # An image four times as far off as is usual for so many unknowns counts a quarter.
         weights = (1.0 / (1.0 + apart / (4.0 * SIZE))) ** 2
     covariance = np.linalg.inv(total)
     return Mount(mean, 0.5 * (covariance + covariance.T), len(fits))
-
-
-def _marginal(fit: Fit, pull: Floats) -> tuple[Floats, Floats]:
-    """Information on the mean, and that times the mean that the image alone would give.
-
-    Images of a drive see the same stretch of road, and its errors, again and again; how they
-    sway is their own.
-    """
-    normal, gradient = fit.taught(OVERLAP, MARK_OVERLAP)
-    gain = np.linalg.solve(normal + pull, np.eye(SIZE))
-    information = pull - pull @ gain @ pull
-    right = pull @ gain @ (normal @ fit.unknowns - gradient)
-    return 0.5 * (information + information.T), right
-
-
-def _distance(fit: Fit, mean: Floats, pull: Floats) -> float:
-    """Squared distance of an image's unknowns from the mean, in standard deviations."""
-    gap = fit.normal @ (fit.unknowns - mean) - fit.gradient
-    own = np.linalg.solve(fit.normal + pull, gap)
-    return float(own @ pull @ own)
 
 
 def find_focal(
@@ -278,7 +267,8 @@ def find_focal(
     low, high = np.log(0.5 * width_px / np.tan(np.radians(np.sort(hfovs_deg)[::-1]) / 2))
     best: tuple[float, Mount] | None = None
     for log_focal in np.linspace(low, high, max(int(np.ceil((high - low) / 0.17)) + 1, 2)):
-        mount = _aimed(loaders, _with_focal(prior, log_focal), spread)
+        # Trials are a sixth apart: the true length is within a sigma of one of them.
+        mount = _aimed(loaders, with_known(prior, FOCAL, log_focal, 0.1), spread)
         try:
             mount, fits = calibrate(loaders, mount, spread, rounds=2, starts=1)
         except InputError:
@@ -299,15 +289,6 @@ def find_focal(
     # At a lens that is wrong, lines go where they fit: that is no news about the road.
     mean[INSETS:TURNS] = prior.mean[INSETS:TURNS]
     return Mount(mean, prior.covariance, 0)
-
-
-def _with_focal(prior: Mount, log_focal: float) -> Mount:
-    mean, covariance = prior.mean.copy(), prior.covariance.copy()
-    mean[FOCAL] = log_focal
-    covariance[FOCAL], covariance[:, FOCAL] = 0.0, 0.0
-    # Trials are a sixth apart: the true length is within a sigma of one of them.
-    covariance[FOCAL, FOCAL] = 0.1**2
-    return Mount(mean, covariance)
 
 
 def _aimed(loaders: Sequence[Loader], prior: Mount, spread: Spread) -> Mount:

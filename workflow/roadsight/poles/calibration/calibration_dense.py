@@ -28,28 +28,23 @@ from roadsight.poles.alignment.dense import (
 )
 from roadsight.poles.alignment.pose import FOCAL, Spread
 from roadsight.poles.alignment.verdict import DenseLimits
-from roadsight.poles.calibration.calibration import Mount
+from roadsight.poles.calibration.calibration import Mount, with_known
 
+# Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)
 DenseLoader = Callable[[Floats, Floats], DenseTask]
-"""Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)."""
+# Images that tell the mount: what it is known by is their own sway, over the root of 12
 IMAGES = 12
-"""Images that tell the mount: what it is known by is their own sway, over the root of 12."""
+# What changes from image to image: the road's bank is left to the roll
 SPREAD = Spread(roll_deg=0.7)
-"""What changes from image to image: the road's bank is left to the roll."""
+# Yaw, pitch and roll that are tried: a blur of 16 px is 1.3 degrees at 720 px
 _AIMS_DEG = (np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 2.0))
-"""Yaw, pitch and roll that are tried: a blur of 16 px is 1.3 degrees at 720 px."""
-_AIMS_M = (-0.6, 0.0, 0.6)
-"""Heights that are tried, from that of a van's roof: 1.6 m is a car."""
-_COARSE_PX = 16.0
-"""Blur of that search."""
+_AIMS_M = (-0.6, 0.0, 0.6)  # Heights that are tried, from that of a van's roof: 1.6 m is a car
+_COARSE_PX = 16.0  # Blur of that search
+# Blurs of the joint rounds; before each the images see the cloud anew
 _PLAN_PX = (8.0, 4.0, 4.0, 2.0, 2.0)
-"""Blurs of the joint rounds; before each the images see the cloud anew."""
-_STEPS = 8
-"""Steps of a round at most."""
-_GAIN = 0.5
-"""Log-likelihood that a step must gain to be followed by another."""
-FEWEST = 3
-"""Images below which a drive has no mount of its own."""
+_STEPS = 8  # Steps of a round at most
+_GAIN = 0.5  # Log-likelihood that a step must gain to be followed by another
+FEWEST = 3  # Images below which a drive has no mount of its own
 
 
 def calibrate_dense(
@@ -89,11 +84,7 @@ def calibrate_dense(
 
 def with_lens(prior: Mount, focal_px: float, sigma_log: float) -> Mount:
     """The same mount with a known focal length."""
-    mean, covariance = prior.mean.copy(), prior.covariance.copy()
-    mean[FOCAL] = np.log(focal_px)
-    covariance[FOCAL, :], covariance[:, FOCAL] = 0.0, 0.0
-    covariance[FOCAL, FOCAL] = sigma_log**2
-    return replace(prior, mean=mean, covariance=covariance)
+    return with_known(prior, FOCAL, np.log(focal_px), sigma_log)
 
 
 def _aimed(tasks: Sequence[DenseTask], information: Floats) -> Floats:
@@ -121,6 +112,15 @@ def _joint(
     ----------
     known : inverse covariance (6, 6) of the mean beforehand. pull : of an image about the mean.
     """
+
+    def cost(blur_px: float, seen: Sequence[Samples], mean: Floats, images: Floats) -> float:
+        found = 0.5 * float(mean @ known @ mean)
+        for task, samples, own in zip(tasks, seen, images, strict=True):
+            apart = own - mean
+            gain = evaluate(task, samples, blur_px, own, False)[0]
+            found += 0.5 * float(apart @ pull @ apart) - gain
+        return found
+
     mean, images = start.copy(), np.repeat(start[None], len(tasks), axis=0)
     total = known
     for blur_px in _PLAN_PX:
@@ -142,11 +142,11 @@ def _joint(
                     for (_, slope, normal), own in zip(parts, images, strict=True)
                 ]
             )
-            before = _cost(tasks, seen, blur_px, known, pull, mean, images)
+            before = cost(blur_px, seen, mean, images)
             length, after = 1.0, np.inf
             while length > 0.05:
                 trial = mean + length * (new - mean), images + length * (turned - images)
-                after = _cost(tasks, seen, blur_px, known, pull, *trial)
+                after = cost(blur_px, seen, *trial)
                 if after < before:
                     mean, images = trial
                     break
@@ -182,21 +182,3 @@ def _confirmed(
     # Of a median, in place of a mean; few images scatter less than they should by chance.
     sigma = 1.2533 * np.maximum(scatter, 0.5 * own) / np.sqrt(len(found))
     return middle, np.diag(sigma**2)
-
-
-def _cost(
-    tasks: Sequence[DenseTask],
-    seen: Sequence[Samples],
-    blur_px: float,
-    known: Floats,
-    pull: Floats,
-    mean: Floats,
-    images: Floats,
-) -> float:
-    """What `_joint` minimises."""
-    cost = 0.5 * float(mean @ known @ mean)
-    for task, samples, own in zip(tasks, seen, images, strict=True):
-        apart = own - mean
-        gain = evaluate(task, samples, blur_px, own, False)[0]
-        cost += 0.5 * float(apart @ pull @ apart) - gain
-    return cost

@@ -13,7 +13,6 @@ from roadsight.poles.alignment.drift import MARK_OVERLAP, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import (
     POSE,
-    VIEWS,
     LandmarkNoise,
     Turns,
     mapped_rows,
@@ -41,6 +40,7 @@ from roadsight.poles.calibration.calibration import (
     shared_mean,
     usable,
     with_centre_open,
+    with_known,
 )
 from roadsight.poles.calibration.calibration_table import DriveCalibration, drift_of
 from roadsight.poles.calibration.calibration_together import (
@@ -53,27 +53,21 @@ from roadsight.poles.calibration.calibration_together import (
     told_centre,
     with_lens_sigmas,
 )
+from roadsight.poles.images.views import VIEWS
 
 log = logging.getLogger(__name__)
-
+# Rounds at most; on the generated roads three suffice
+# (`docs/decisions/033-a-drive-is-solved-together.md`)
 _ROUNDS = 8
-"""Rounds at most; on the generated roads three suffice
-(`docs/decisions/033-a-drive-is-solved-together.md`)."""
-
-_SETTLED = 0.1
-"""Rounds end when the drive's mean moves by less than this, in standard deviations."""
-
+_SETTLED = 0.1  # Rounds end when the drive's mean moves by less than this, in standard deviations
+# Scales of the rounds, as of `mount_together`, where it is solved for how sure the lens is: on two
+# generated drives the sigmas are within 4 % of those of all rounds, in 0.4 of the time
 _LENS_SCALES = (12.0, 12.0, 6.0, 3.0, 3.0, 3.0)
-"""Scales of the rounds, as of `mount_together`, where it is solved for how sure the lens is: on two
-generated drives the sigmas are within 4 % of those of all rounds, in 0.4 of the time."""
-
+# Turn of a side view as a share of the field of view, where views are made to be stitched
 _STITCHED = 0.93
-"""Turn of a side view as a share of the field of view, where views are made to be stitched."""
-
+# One standard deviation of a side view's yaw when the view joins. The vote's own is far smaller,
+# but it rests on a lens that is still to be solved.
 _TURN_SIGMA_DEG = 0.5
-"""One standard deviation of a side view's yaw when the view joins. The vote's own is far smaller,
-but it rests on a lens that is still to be solved."""
-
 _Posed = tuple[Place, Task, Fit]
 
 
@@ -129,7 +123,9 @@ def with_landmarks(
             if not opened:
                 calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
                 opened = True
-            elif _moved(before, calibration.mount) < _SETTLED:
+                continue
+            moved = np.abs(calibration.mount.mean - before.mean)
+            if (moved / np.sqrt(np.diag(calibration.mount.covariance))).max() < _SETTLED:
                 break
         return calibration, prior, starts, good
 
@@ -157,12 +153,6 @@ def with_landmarks(
     return calibration, starts
 
 
-def _moved(before: Mount, after: Mount) -> float:
-    """How far the drive's mean moved, in standard deviations."""
-    sigma = np.sqrt(np.diag(after.covariance))
-    return float((np.abs(after.mean - before.mean) / sigma).max())
-
-
 def _improved(
     calibration: DriveCalibration,
     good: Sequence[_Posed],
@@ -186,12 +176,12 @@ def _improved(
 
 def _chained(calibration: DriveCalibration, good: Sequence[_Posed], chain: Chain) -> list[Tied]:
     found = {place.image: fit for place, _, fit in good}
-    return [_tied(calibration, place, found.get(place.image), points) for place, points in chain]
-
-
-def _tied(calibration: DriveCalibration, place: Place, fit: Fit | None, points: Floats) -> Tied:
-    unknowns = calibration.expected(place)[0] if fit is None else fit.unknowns
-    return Tied(Member(place, unknowns, None, points), fit)
+    images = []
+    for place, points in chain:
+        fit = found.get(place.image)
+        unknowns = calibration.expected(place)[0] if fit is None else fit.unknowns
+        images.append(Tied(Member(place, unknowns, None, points), fit))
+    return images
 
 
 def _opened(
@@ -207,14 +197,9 @@ def _opened(
     log.info("side views: %s +- %s degrees", turns.deg, turns.sigma_deg)
     seen = np.flatnonzero(np.isfinite(turns.sigma_deg[1:])) + 1
     mounts = [calibration.mount, prior]
-    for number, mount in enumerate(mounts):
-        mean, covariance = mount.mean.copy(), mount.covariance.copy()
-        for view in seen:
-            at = TURNS - 1 + view
-            mean[at] = turns.deg[view]
-            covariance[at], covariance[:, at] = 0.0, 0.0
-            covariance[at, at] = _TURN_SIGMA_DEG**2
-        mounts[number] = replace(mount, mean=mean, covariance=covariance)
+    for view in seen.tolist():
+        number, turn = TURNS - 1 + view, turns.deg[view]
+        mounts = [with_known(mount, number, turn, _TURN_SIGMA_DEG) for mount in mounts]
     return replace(calibration, mount=mounts[0]), mounts[1]
 
 
@@ -238,36 +223,19 @@ def _guesses(
 
 
 # Yaw of a drive's side views, from the poles that they show and the front view's poses.
-#
 # The angle between two cameras is the same in every image, so every pole axis of a side view and
 # every column near its ray vote for one; wrong pairs scatter, right ones agree.
 
-_STEP_DEG = 0.02
-"""Step of the yaws whose votes are counted; the best one is refined afterwards."""
-
-_REACH_DEG = 10.0
-"""How far to either side of a guess yaws are tried."""
-
-_FARTHEST_M = 80.0
-"""Columns beyond this do not vote: more of them lie near every ray."""
-
-_GATE = 3.0
-"""Standard deviations by which rows of foot and top may differ."""
-
-_FEWEST = 6
-"""Votes that must agree on a yaw."""
-
-_WRONG = 0.5
-"""Share of the axes whose vote is astray, since their pole is no column of the cloud."""
-
-_APART_DEG = 0.6
-"""Yaws that differ by more are rivals of the best one, not its flank."""
-
+_STEP_DEG = 0.02  # Step of the yaws whose votes are counted; the best one is refined afterwards
+_REACH_DEG = 10.0  # How far to either side of a guess yaws are tried
+_FARTHEST_M = 80.0  # Columns beyond this do not vote: more of them lie near every ray
+_GATE = 3.0  # Standard deviations by which rows of foot and top may differ
+_FEWEST = 6  # Votes that must agree on a yaw
+_WRONG = 0.5  # Share of the axes whose vote is astray, since their pole is no column of the cloud
+_APART_DEG = 0.6  # Yaws that differ by more are rivals of the best one, not its flank
+# Log-likelihood by which the best yaw must lead its rivals, else the view stays unused
 _CLEARER = 6.0
-"""Log-likelihood by which the best yaw must lead its rivals, else the view stays unused."""
-
-_LEAST_SIGMA_DEG = 0.005
-"""Standard deviation that many votes do not get below."""
+_LEAST_SIGMA_DEG = 0.005  # Standard deviation that many votes do not get below
 
 
 def side_turns(
@@ -307,12 +275,28 @@ def _turn(
     grid = np.arange(-180.0, 180.0, _STEP_DEG)
     near = np.abs(grid[:, None] - guesses_deg).min(axis=1) <= _REACH_DEG
     grid = grid[near]
-    score = _score(grid, table, 2 * _REACH_DEG)
+    # Log-likelihood of each yaw: every axis has one vote, about half of them are astray.
+    axes = table[:, 0].astype(np.int64)
+    score = np.zeros(len(grid))
+    for axis in np.unique(axes):
+        _, turn, sigma = table[axes == axis].T
+        off = (grid[:, None] - turn) / sigma
+        density = (np.exp(-0.5 * off**2) / (2.5066 * sigma)).sum(axis=1)  # The root of 2 pi.
+        score += np.log(_WRONG / (2 * _REACH_DEG) + (1.0 - _WRONG) * density)
     best = int(np.argmax(score))
     others = score[np.abs(grid - grid[best]) > _APART_DEG]
     if len(others) and score[best] - others.max() < _CLEARER:
         return None
-    return _refined(grid[best], table)
+    # Weighted robust mean of the votes around the best yaw.
+    close = np.abs(table[:, 1] - grid[best]) < 4.0 * table[:, 2] + 2.0 * _STEP_DEG
+    if np.count_nonzero(close) < _FEWEST:
+        return None
+    _, turn, sigma = table[close].T
+    mean = grid[best]
+    for _ in range(10):
+        weight = (1.0 + ((turn - mean) / (2.0 * sigma)) ** 2) ** -2 / sigma**2
+        mean = float((weight * turn).sum() / weight.sum())
+    return mean, float(np.hypot(1.0 / np.sqrt(MARK_OVERLAP * weight.sum()), _LEAST_SIGMA_DEG))
 
 
 def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoise) -> Floats:
@@ -354,64 +338,24 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
     return np.column_stack([number, turn_deg, np.degrees(np.sqrt(variance))])[agrees]
 
 
-def _score(grid: Floats, table: Floats, range_deg: float) -> Floats:
-    """Log-likelihood of yaws, every axis one vote, about half of them astray."""
-    number = table[:, 0].astype(np.int64)
-    total = np.zeros(len(grid))
-    for axis in np.unique(number):
-        _, turn, sigma = table[number == axis].T
-        off = (grid[:, None] - turn) / sigma
-        density = (np.exp(-0.5 * off**2) / (2.5066 * sigma)).sum(axis=1)  # The root of 2 pi.
-        total += np.log(_WRONG / range_deg + (1.0 - _WRONG) * density)
-    return total
-
-
-def _refined(turn_deg: float, table: Floats) -> tuple[float, float] | None:
-    """Weighted robust mean of the votes around a yaw."""
-    near = np.abs(table[:, 1] - turn_deg) < 4.0 * table[:, 2] + 2.0 * _STEP_DEG
-    if np.count_nonzero(near) < _FEWEST:
-        return None
-    _, turn, sigma = table[near].T
-    mean = turn_deg
-    for _ in range(10):
-        weight = (1.0 + ((turn - mean) / (2.0 * sigma)) ** 2) ** -2 / sigma**2
-        mean = float((weight * turn).sum() / weight.sum())
-    return mean, float(np.hypot(1.0 / np.sqrt(MARK_OVERLAP * weight.sum()), _LEAST_SIGMA_DEG))
-
-
 # How much the images of a drive differ from its mean, from the images themselves.
-#
 # A smooth road and a stiff vehicle leave a camera's height and roll almost as they are, a worn
 # road does not. What images may differ by decides how much each of them can lean on the others.
 
-_NUMBERS = {
-    "height_m": [HEIGHT],
-    "yaw_deg": [YAW],
-    "pitch_deg": [PITCH],
-    "roll_deg": [ROLL],
-    "lane_inset_m": [INSETS, INSETS + 1],
-    "border_inset_m": [INSETS + 2, INSETS + 3],
+# Values of `Spread` that are estimated: the unknowns that share each, and its least, metres and
+# degrees (with none, images could not differ at all)
+_ESTIMATED = {
+    "height_m": ([HEIGHT], 0.01),
+    "yaw_deg": ([YAW], 0.05),
+    "pitch_deg": ([PITCH], 0.05),
+    "roll_deg": ([ROLL], 0.05),
+    "lane_inset_m": ([INSETS, INSETS + 1], 0.01),
+    "border_inset_m": ([INSETS + 2, INSETS + 3], 0.01),
 }
-"""Unknowns that share a value of `Spread`, by its name: those that are estimated."""
-
-_LEAST = {
-    "height_m": 0.01,
-    "yaw_deg": 0.05,
-    "pitch_deg": 0.05,
-    "roll_deg": 0.05,
-    "lane_inset_m": 0.01,
-    "border_inset_m": 0.01,
-}
-"""Least spread of each, metres and degrees: with none, images could not differ at all."""
-
-_STEPS = 30
-"""Steps of expectation maximisation."""
-
-_KNOWN_IMAGES = 10.0
-"""How many images the expected spread counts as."""
-
+_STEPS = 30  # Steps of expectation maximisation
+_KNOWN_IMAGES = 10.0  # How many images the expected spread counts as
+# An image further from the mean than this, in standard deviations, does not widen the spread
 _FAR = 4.0
-"""An image further from the mean than this, in standard deviations, does not widen the spread."""
 
 
 def estimated_spread(fits: Sequence[Fit], mount: Mount, expected: Spread) -> Spread:
@@ -435,12 +379,12 @@ def estimated_spread(fits: Sequence[Fit], mount: Mount, expected: Spread) -> Spr
         apart = np.einsum("nij,nj->ni", covariance, towards)
         usual = apart**2 <= _FAR**2 * variance
         second = np.where(usual, apart**2 + np.diagonal(covariance, axis1=1, axis2=2), 0.0)
-        for numbers in _NUMBERS.values():
+        for numbers, _ in _ESTIMATED.values():
             total = second[:, numbers].sum() + _KNOWN_IMAGES * before[numbers].sum()
             count = usual[:, numbers].sum() + _KNOWN_IMAGES * len(numbers)
             variance[numbers] = total / count
     found = {
-        name: max(float(np.sqrt(variance[numbers[0]])), _LEAST[name])
-        for name, numbers in _NUMBERS.items()
+        name: max(float(np.sqrt(variance[numbers[0]])), least)
+        for name, (numbers, least) in _ESTIMATED.items()
     }
     return replace(expected, **found)

@@ -13,13 +13,12 @@ from roadsight.base.errors import InputError
 from roadsight.poles.alignment.drift import Drift, DriftModel, expect_place, measured_offset
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED
-from roadsight.poles.alignment.landmarks import VIEWS, Turns
+from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
 from roadsight.poles.alignment.solve import Fit, search
 from roadsight.poles.calibration.calibration import Loader, Mount, apart_from_centre, usable
-
-Key = tuple[str, int, int]
-"""Route, width and height of images that share a camera."""
+from roadsight.poles.drive.drive_lenses import Key
+from roadsight.poles.images.views import VIEWS
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def drift_of(
 
 def to_content(calibration: DriveCalibration) -> dict[str, Any]:
     """JSON content; `from_content` reads it back."""
-    mount, drift = calibration.mount, calibration.drift
+    mount, drift, turns = calibration.mount, calibration.drift, calibration.turns
     route, width, height = calibration.key
     sigma = np.sqrt(np.diag(mount.covariance))
     names = sorted(calibration.measured, key=lambda name: calibration.measured[name])
@@ -151,7 +150,11 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
         "sigma_cy_px": calibration.sigma_cy_px,
         "covariance": mount.covariance.tolist(),
         "spread": vars(calibration.spread),
-        "side_views": _turns_content(calibration.turns),
+        "side_views": {
+            view: {"yaw_deg": deg, "sigma_deg": sigma}
+            for view, deg, sigma in zip(VIEWS, turns.deg, turns.sigma_deg, strict=True)
+            if view != "front" and np.isfinite(sigma)
+        },
         "drift_model": vars(drift.model),
         "drift": [
             {"image": name, "station_m": float(s), "offset_m": o.tolist(), "covariance_m2": c}
@@ -163,15 +166,6 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
             {"image": name, "pose": pose.tolist(), "covariance": own.tolist()}
             for name, (pose, own) in sorted(calibration.told.items())
         ],
-    }
-
-
-def _turns_content(turns: Turns) -> dict[str, Any]:
-    """Yaw of the side views whose yaw is known."""
-    return {
-        view: {"yaw_deg": deg, "sigma_deg": sigma}
-        for view, deg, sigma in zip(VIEWS, turns.deg, turns.sigma_deg, strict=True)
-        if view != "front" and np.isfinite(sigma)
     }
 
 

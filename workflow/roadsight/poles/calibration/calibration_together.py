@@ -7,14 +7,13 @@ add up to the bend, which the track knows in degrees.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Floats
 from roadsight.base.doubts import Doubt
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP, DriftModel
 from roadsight.poles.alignment.drive import Place
@@ -47,15 +46,11 @@ from roadsight.poles.calibration.calibration import (
 )
 from roadsight.poles.calibration.calibration_table import DriveCalibration
 
+# Squared distance of an image from what all say, in standard deviations, at which it counts a
+# quarter: four times what is usual for so many unknowns
 _SOFT = 4.0 * SIZE
-"""Squared distance of an image from what all say, in standard deviations, at which it counts a
-quarter: four times what is usual for so many unknowns."""
-
-_FLAT = 1e-9
-"""Directions of an image's misfit this much flatter than the steepest tell nothing."""
-
-_LENS = np.array([FOCAL, CX])
-"""Unknowns of the lens, which all images have in common."""
+_FLAT = 1e-9  # Directions of an image's misfit this much flatter than the steepest tell nothing
+_LENS = np.array([FOCAL, CX])  # Unknowns of the lens, which all images have in common
 
 
 @dataclass(frozen=True)
@@ -112,7 +107,12 @@ def mount_together(
         steps, step, covariance = solve_bordered(counted, links, border)
         now[:, :POSED] += steps
         mean = mean + step
-        off = [_misfit(o, np.r_[s, step]) for o, s in zip(own, steps, strict=True)]
+        # Squared distance of the steps from what an image measured, in its standard deviations.
+        off = []
+        for one, s in zip(own, steps, strict=True):
+            gap = one.right - one.matrix @ np.r_[s, step]
+            inverse = np.linalg.pinv(one.matrix, rcond=_FLAT, hermitian=True)
+            off.append(float(gap @ inverse @ gap))
         weights = (1.0 / (1.0 + np.array(off) / _SOFT)) ** 2
     return Mount(mean, covariance, sum(one is not None for one in data))
 
@@ -166,39 +166,28 @@ def _with_lens(points: Normal) -> Normal:
     return Normal(matrix, right)
 
 
-def _misfit(own: Normal, step: Floats) -> float:
-    """Squared distance of a step from what an image measured, in its standard deviations."""
-    gap = own.right - own.matrix @ step
-    return float(gap @ np.linalg.pinv(own.matrix, rcond=_FLAT, hermitian=True) @ gap)
-
-
 # Principal point of a drive's camera, as far as the whole drive tells it.
-#
 # A principal point that is off and a camera that is turned show nearly the same: only near the
 # image's sides do they differ, by the square of the distance from the middle. Errors of the map,
 # of masks and of pairs do that as well, and images that show one thing share its error. How sure
 # the point is follows from parts of the drive: left out in turn, they move it by what they are
 # worth.
 
+# Parts of a drive that are left out in turn. They differ in their columns, since all images that
+# show one share its error: on a street whose map is smeared by 0.2 m the point's sigma by parts is
+# 6 px, where the misfit alone says 1.3 and the point is 7 px off.
 _PARTS = 6
-"""Parts of a drive that are left out in turn. They differ in their columns, since all images that
-show one share its error: on a street whose map is smeared by 0.2 m the point's sigma by parts is
-6 px, where the misfit alone says 1.3 and the point is 7 px off."""
-
+# What is left of a lens's bending at the image's sides, one standard deviation: images taken for
+# rectified are so to some tenths of a pixel. A principal point moves what is there by its shift
+# times (half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22
+# degrees, where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma.
 _BENT_PX = 0.3
-"""What is left of a lens's bending at the image's sides, one standard deviation: images taken for
-rectified are so to some tenths of a pixel. A principal point moves what is there by its shift times
-(half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22 degrees,
-where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma."""
-
+# Turn of the camera from which an open principal point is told: the limit of a right heading
 _MATTERS_DEG = 0.1
-"""Turn of the camera from which an open principal point is told: the limit of a right heading."""
-
+# Standard deviations by which the point must be off the middle to be taken from the drive
 _TOLD = 2.0
-"""Standard deviations by which the point must be off the middle to be taken from the drive."""
-
+# Mount of a drive from its images and what is known of it beforehand
 Solver = Callable[[Sequence[Tied], Mount], Mount]
-"""Mount of a drive from its images and what is known of it beforehand."""
 
 
 def told_centre(
@@ -256,32 +245,32 @@ def lens_sigmas(
     """
     own_px, own_focal = np.sqrt(np.diag(mount.covariance)[[CX, FOCAL]])
     stretches = np.array_split(np.arange(len(images)), _PARTS)
-    by_stretch = _moved([_silent_in(images, part) for part in stretches], prior, solve)
+    silent = [
+        replace(one, member=replace(one.member, shared=one.member.shared[:0]), fit=None)
+        for one in images
+    ]
+    drives = [
+        [silent[k] if k in part else images[k] for k in range(len(images))] for part in stretches
+    ]
+    by_stretch = _jackknife(drives, prior, solve)
     columns = sorted({place for one in images for place in _columns(one)})
     if len(columns) < _PARTS:
         focal = max(own_focal, by_stretch[FOCAL])
         return float(np.sqrt(prior.covariance[CX, CX])), float(focal)
     parts = [set(columns[k::_PARTS]) for k in range(_PARTS)]
-    by_column = _moved([[_without(one, part) for one in images] for part in parts], prior, solve)
+    by_column = _jackknife(
+        [[_without(one, part) for one in images] for part in parts], prior, solve
+    )
     width_px = images[0].member.place.start.width_px
     bent_px = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
     focal = max(own_focal, by_stretch[FOCAL], by_column[FOCAL])
     return float(np.hypot(max(by_column[CX], own_px), bent_px)), float(focal)
 
 
-def _moved(drives: Sequence[Sequence[Tied]], prior: Mount, solve: Solver) -> Floats:
+def _jackknife(drives: Sequence[Sequence[Tied]], prior: Mount, solve: Solver) -> Floats:
     """Standard deviations (k,) of the mean unknowns, from drives of which a part is left out."""
     found = [solve(images, prior).mean for images in drives]
     return np.asarray(np.sqrt((len(found) - 1) * np.var(found, axis=0)), np.float64)
-
-
-def _silent_in(images: Sequence[Tied], part: Ints) -> list[Tied]:
-    """A drive that says nothing on a stretch."""
-    found = list(images)
-    for number in part.tolist():
-        member = images[number].member
-        found[number] = Tied(replace(member, shared=member.shared[:0]), None)
-    return found
 
 
 _Column = tuple[float, float]
@@ -298,13 +287,9 @@ def _columns(one: Tied) -> list[_Column]:
 
 def _without(one: Tied, left_out: set[_Column]) -> Tied:
     """The same image without some of the columns."""
-    kept = np.array([place not in left_out for place in _columns(one)], bool)
-    if one.fit is None or kept.all():
+    kept, fit = np.array([place not in left_out for place in _columns(one)], bool), one.fit
+    if fit is None or kept.all():
         return one
-    return replace(one, fit=_part(one, one.fit, kept))
-
-
-def _part(one: Tied, fit: Fit, kept: np.ndarray) -> Fit:
     assert fit.matched is not None
     assert fit.matched_normal is not None
     assert fit.matched_gradient is not None
@@ -314,7 +299,7 @@ def _part(one: Tied, fit: Fit, kept: np.ndarray) -> Fit:
     _, normal, gradient, _ = landmark_misfit(
         fit.unknowns, vector, matched.observed, matched.mapped, matched.sigma_rad, FINEST, True
     )
-    return replace(
+    fit = replace(
         fit,
         matched=matched,
         normal=fit.normal - fit.matched_normal + normal,
@@ -322,17 +307,13 @@ def _part(one: Tied, fit: Fit, kept: np.ndarray) -> Fit:
         matched_normal=normal,
         matched_gradient=gradient,
     )
+    return replace(one, fit=fit)
 
 
-# A drive's calibration with what its images tell each other.
-
-log = logging.getLogger(__name__)
-
+# Pixels (n, 4) that two images share, by the names of both
 Shared = Mapping[tuple[str, str], Floats]
-"""Pixels (n, 4) that two images share, by the names of both."""
-
+# Places in the order of travel, each with the pixels (n, 4) that it shares with the next one
 Chain = list[tuple[Place, Floats]]
-"""Places in the order of travel, each with the pixels (n, 4) that it shares with the next one."""
 
 
 def in_order(places: Sequence[Place], shared: Shared) -> Chain:

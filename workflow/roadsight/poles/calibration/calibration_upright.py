@@ -23,42 +23,31 @@ from roadsight.poles.alignment.landmarks import (
 from roadsight.poles.alignment.locate import own_variance
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spread
 from roadsight.poles.alignment.solve import Task
-from roadsight.poles.calibration.calibration import Loader, Mount
+from roadsight.poles.calibration.calibration import Loader, Mount, with_known
 
-_LEAN_DEG = 1.5
-"""One standard deviation of a pole's own lean."""
-_FEWEST_AXES = 20
-"""Axes that roll needs; with fewer, a few leaning trunks would decide."""
-_LEAST_SIGMA_DEG = 0.3
-"""Standard deviation that this roll is given, however many axes there are."""
-_FARTHEST_M = 50.0
-"""Columns beyond this are not paired: more of them lie near every ray."""
-_CLUTTER = 0.5
-"""Share of the axes that are no column of the cloud."""
+_LEAN_DEG = 1.5  # One standard deviation of a pole's own lean
+_FEWEST_AXES = 20  # Axes that roll needs; with fewer, a few leaning trunks would decide
+_LEAST_SIGMA_DEG = 0.3  # Standard deviation that this roll is given, however many axes there are
+_FARTHEST_M = 50.0  # Columns beyond this are not paired: more of them lie near every ray
+_CLUTTER = 0.5  # Share of the axes that are no column of the cloud
+# Range of bearings, centred on an axis, in which its column is looked for and in which an axis
+# without one may lie anywhere
 _RANGE_RAD = np.radians(40.0)
-"""Range of bearings, centred on an axis, in which its column is looked for and in which an axis
-without one may lie anywhere."""
+# Width of a match, one standard deviation, when the search starts: it must bridge a step of the
+# grid
 _COARSE_RAD = np.radians(0.8)
-"""Width of a match, one standard deviation, when the search starts: it must bridge a step of the
-grid."""
-_FINE_RAD = np.radians(0.25)
-"""The same in the last round: each image still sways about the mean."""
+_FINE_RAD = np.radians(0.25)  # The same in the last round: each image still sways about the mean
+# Rounds in which the width shrinks from the coarse to the fine one, by the same factor each
 _ROUNDS = 25
-"""Rounds in which the width shrinks from the coarse to the fine one, by the same factor each."""
-_IMAGES = 20
-"""Images that the coarse search looks at; its time grows with them."""
+_IMAGES = 20  # Images that the coarse search looks at; its time grows with them
+# Axes with a possible column before the search, and pairs believed after it, that are needed
 _FEWEST_PAIRS = 30
-"""Axes with a possible column before the search, and pairs believed after it, that are needed."""
-_INDEPENDENT = 0.1
-"""Share of the pairs that tell something new."""
-_FRONT = 0
-"""Number of the front view in `VIEWS`."""
-_YAW_DEG = np.arange(-4.0, 4.1, 0.5)
-"""Yaws that the coarse search adds to the expected one."""
-_PLACE_M = np.arange(-2.0, 2.1, 1.0)
-"""Places, along and across, that it adds."""
+_INDEPENDENT = 0.1  # Share of the pairs that tell something new
+_FRONT = 0  # Number of the front view in `VIEWS`
+_YAW_DEG = np.arange(-4.0, 4.1, 0.5)  # Yaws that the coarse search adds to the expected one
+_PLACE_M = np.arange(-2.0, 2.1, 1.0)  # Places, along and across, that it adds
+# Logarithms of the focal length that it adds: a tenth to either side
 _FOCAL = np.array([-0.10, -0.05, 0.0, 0.05, 0.10])
-"""Logarithms of the focal length that it adds: a tenth to either side."""
 _Pairs = tuple[Task, Floats, Floats, Ints, Floats]
 
 
@@ -66,7 +55,7 @@ def aimed(prior: Mount, loaders: Sequence[Loader], noise: LandmarkNoise, spread:
     """Prior of a drive after a look at its upright things; the same one if there are too few."""
     information = prior.expected(spread)
     tasks = [load(prior.mean, information) for load in loaders]
-    return aimed_at_landmarks(level_roll(prior, tasks), tasks, noise, spread)
+    return aimed_at_landmarks(level_roll(prior, tasks), tasks, noise)
 
 
 def level_roll(prior: Mount, tasks: Sequence[Task]) -> Mount:
@@ -92,16 +81,10 @@ def level_roll(prior: Mount, tasks: Sequence[Task]) -> Mount:
         roll, tilt = np.linalg.solve(normal, terms.T @ (weight * y))
         off = (y - roll - tilt * x) / s
         weight = 1.0 / (s * (1.0 + (off / 2.0) ** 2)) ** 2
-    mean, covariance = prior.mean.copy(), prior.covariance.copy()
-    mean[ROLL] = roll
-    covariance[ROLL], covariance[:, ROLL] = 0.0, 0.0
-    covariance[ROLL, ROLL] = _LEAST_SIGMA_DEG**2
-    return Mount(mean, covariance, prior.images)
+    return with_known(prior, ROLL, roll, _LEAST_SIGMA_DEG)
 
 
-def aimed_at_landmarks(
-    prior: Mount, tasks: Sequence[Task], noise: LandmarkNoise, spread: Spread
-) -> Mount:
+def aimed_at_landmarks(prior: Mount, tasks: Sequence[Task], noise: LandmarkNoise) -> Mount:
     """Mount at which the axes of all images together point at the cloud's columns.
 
     A coarse search over yaw, place and focal length, then expectation and maximisation: every axis
@@ -114,13 +97,12 @@ def aimed_at_landmarks(
         return prior
     mean = _coarse(prior, pairs)
     known = np.linalg.inv(prior.covariance)
-    sway = spread.vector()[:POSE]
     for number in range(_ROUNDS):
         share = number / (_ROUNDS - 1)
         width = _COARSE_RAD * (_FINE_RAD / _COARSE_RAD) ** share
         normal, gradient, count = known.copy(), known @ (mean - prior.mean), 0.0
         for part in pairs:
-            own = _expected(part, mean, width, sway)
+            own = _expected(part, mean, width)
             normal[:POSE, :POSE] += own[0]
             gradient[:POSE] += own[1]
             count += own[2]
@@ -169,31 +151,29 @@ def _coarse(prior: Mount, pairs: Sequence[_Pairs]) -> Floats:
     sigma = np.sqrt(np.diag(prior.covariance))
     score = -0.5 * (((trials - prior.mean) / sigma) ** 2).sum(axis=1)
     for k, trial in enumerate(trials):
-        score[k] += _INDEPENDENT * sum(_likelihood(part, trial, _COARSE_RAD) for part in few)
+        likelihood = 0.0
+        for part in few:
+            axis = part[3]
+            density = _density(part, trial, part[4] + _COARSE_RAD**2)
+            total = np.bincount(axis, density)[np.unique(axis)]
+            likelihood += float(np.log(_CLUTTER / _RANGE_RAD + (1.0 - _CLUTTER) * total).sum())
+        score[k] += _INDEPENDENT * likelihood
     return np.asarray(trials[int(np.argmax(score))], np.float64)
 
 
-def _likelihood(pairs: _Pairs, unknowns: Floats, width: float) -> float:
-    density, axis = _density(pairs, unknowns, pairs[4] + width**2)
-    total = np.bincount(axis, density)[np.unique(axis)]
-    return float(np.log(_CLUTTER / _RANGE_RAD + (1.0 - _CLUTTER) * total).sum())
-
-
-def _density(pairs: _Pairs, unknowns: Floats, variance: Floats) -> tuple[Floats, Ints]:
-    task, seen, there, axis, _ = pairs
+def _density(pairs: _Pairs, unknowns: Floats, variance: Floats) -> Floats:
+    """Normal density (k,) of the gap between the bearings of each pair."""
+    task, seen, there, _, _ = pairs
     gap = measure(unknowns, task.scene[0], seen, there)[:, 0]
-    density = np.exp(-0.5 * gap**2 / variance) / np.sqrt(2 * np.pi * variance)
-    return density, axis
+    return np.asarray(np.exp(-0.5 * gap**2 / variance) / np.sqrt(2 * np.pi * variance), np.float64)
 
 
-def _expected(
-    pairs: _Pairs, unknowns: Floats, width: float, sway: Floats
-) -> tuple[Floats, Floats, float]:
+def _expected(pairs: _Pairs, unknowns: Floats, width: float) -> tuple[Floats, Floats, float]:
     """Normal matrix and gradient of one image, each pair as far as it is believed; their number."""
     task, seen, there, axis, own = pairs
     slope = slopes(unknowns, task.scene[0], seen, there)[:, 0, :POSE]
     variance = own + width**2
-    density, _ = _density(pairs, unknowns, variance)
+    density = _density(pairs, unknowns, variance)
     total = np.bincount(axis, density)[axis]
     belief = (1 - _CLUTTER) * density / (_CLUTTER / _RANGE_RAD + (1 - _CLUTTER) * total)
     gap = measure(unknowns, task.scene[0], seen, there)[:, 0]

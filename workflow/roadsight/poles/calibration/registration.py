@@ -15,23 +15,17 @@ from scipy.spatial.transform import Rotation
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import attitude_deg, wrap_deg
+from roadsight.poles.alignment.drift import axes
 from roadsight.poles.alignment.pose import FOCAL, UNKNOWNS, Start
 
-FEWEST_PAIRS = 4
-"""Seven unknowns, two numbers of each pair."""
-
-_HFOVS_DEG = (8.0, 120.0)
-"""Horizontal fields of view from which starts are made."""
-
+FEWEST_PAIRS = 4  # Seven unknowns, two numbers of each pair
+_HFOVS_DEG = (8.0, 120.0)  # Horizontal fields of view from which starts are made
+# One standard deviation of the log focal length about that of 60 degrees: it decides only where
+# the pairs do not
 _LOG_FOCAL_SIGMA = 1.0
-"""One standard deviation of the log focal length about that of 60 degrees: it decides only where
-the pairs do not."""
-
-_PIXEL_PX = 2.0
-"""One standard deviation of a click."""
-
+_PIXEL_PX = 2.0  # One standard deviation of a click
+# Starts that are refined, those that fit best: the best one may lead to a worse minimum
 _STARTS = 5
-"""Starts that are refined, those that fit best: the best one may lead to a worse minimum."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +81,10 @@ def register_camera(
     centre = np.asarray(middle if centre_px is None else centre_px, np.float64)
     origin = xyz.mean(axis=0)
     best, usual = None, np.log(0.5 * width_px / np.tan(np.radians(30.0)))
+    far, near = np.log(0.5 * width_px / np.tan(np.radians(_HFOVS_DEG) / 2))
     starts = [
         (log_focal, start)
-        for log_focal in _log_focals(width_px)
+        for log_focal in np.linspace(far, near, 14)
         for start in _poses(uv - centre, xyz - origin, np.exp(log_focal))
     ]
     starts.sort(key=lambda one: _misfit(uv - centre, xyz - origin, *one))
@@ -130,11 +125,6 @@ def is_flat(xyz_m: ArrayLike) -> bool:
     xyz = np.asarray(xyz_m, np.float64)
     extent = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
     return bool(extent[-1] < 0.01 * extent[0])
-
-
-def _log_focals(width_px: int) -> Floats:
-    far, near = np.log(0.5 * width_px / np.tan(np.radians(_HFOVS_DEG) / 2))
-    return np.linspace(far, near, 14)
 
 
 def _poses(uv: Floats, xyz: Floats, focal: float) -> list[Floats]:
@@ -201,7 +191,13 @@ def _result(fit: OptimizeResult, origin: Floats, pairs: int) -> Registration:
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * scale_px**2
     # From rotation vector and shift to turn about the camera's axes and position.
     change = np.zeros((7, 7))
-    to_turn = _turn_per_rotvec(fit.x[:3])
+    # Turn about fixed axes for a small change of the rotation vector (left Jacobian).
+    step, back = 1e-6, turn.inv()
+    columns = [
+        (Rotation.from_rotvec(fit.x[:3] + step * axis) * back).as_rotvec() / step
+        for axis in np.eye(3)
+    ]
+    to_turn = np.column_stack(columns)
     matrix = turn.as_matrix()
     change[:3, 3:6] = -matrix.T
     moved = np.cross(np.eye(3), fit.x[3:6])
@@ -220,26 +216,15 @@ def _result(fit: OptimizeResult, origin: Floats, pairs: int) -> Registration:
     )
 
 
-def _turn_per_rotvec(rotvec: Floats) -> Floats:
-    """Turn about fixed axes for a small change of a rotation vector (left Jacobian)."""
-    step = 1e-6
-    base = Rotation.from_rotvec(rotvec).inv()
-    columns = [
-        (Rotation.from_rotvec(rotvec + step * axis) * base).as_rotvec() / step for axis in np.eye(3)
-    ]
-    return np.column_stack(columns)
-
-
 # The camera of a vehicle from registered images: what calibration takes as a baseline.
 
 # An image differs from the drive by the track's error and the vehicle's sway: a baseline of few
 # images is no better than that.
+# Along, lateral, height (m), yaw, pitch, roll (degrees) and log focal length: the spread of a
+# drive's images (`Spread`), but for the lens, which does not change
 _SWAY = np.array([1.0, 1.0, 0.07, 0.5, 0.5, 0.3, 0.0])
-"""Along, lateral, height (m), yaw, pitch, roll (degrees) and log focal length: the spread of a
-drive's images (`Spread`), but for the lens, which does not change."""
-
+# Least standard deviations of a baseline in the same order
 _LEAST = np.array([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.002])
-"""Least standard deviations of a baseline in the same order."""
 
 
 def mounted(found: Registration, start: Start) -> tuple[Floats, Floats]:
@@ -251,8 +236,7 @@ def mounted(found: Registration, start: Start) -> tuple[Floats, Floats]:
     ----------
     start : where the track says that the vehicle was, in the frame of the registration.
     """
-    heading = np.radians(start.heading_deg)
-    turn = np.array([[np.sin(heading), np.cos(heading)], [np.cos(heading), -np.sin(heading)]])
+    turn = axes(start.heading_deg)
     along, lateral = turn @ (found.position_m[:2] - [start.x_m, start.y_m])
     height = found.position_m[2] - start.z_road_m - start.grade * along - start.bank * lateral
     road_heading = start.heading_deg + np.degrees(start.bend * along)

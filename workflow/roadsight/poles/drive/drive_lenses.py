@@ -10,8 +10,7 @@ import numpy as np
 from roadsight.base.errors import InputError
 from roadsight.geometry.lens import RadialLens
 
-Key = tuple[str, int, int]
-"""Route, width and height of images that share a camera."""
+Key = tuple[str, int, int]  # Route, width and height of images that share a camera
 
 
 def lens_content(

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
 from roadsight.geometry.cameras import wrap_deg
@@ -19,37 +19,19 @@ from roadsight.poles.images.plumb_line import doubt, fit_lens
 from roadsight.scene.terrain.tin import Height, hidden_road_share
 
 Picture = Callable[[str], Bytes]
-
-EYE_M = 2.2
-"""Height of a camera above the road; what is known before any calibration."""
-
-REACH_M = 240.0
-"""How far ahead road counts: the reach of the alignment by default."""
-
+EYE_M = 2.2  # Height of a camera above the road; what is known before any calibration
+REACH_M = 240.0  # How far ahead road counts: the reach of the alignment by default
+# Horizontal fields of view for which the roadside is measured: a site's own one then changes the
+# decision, not the profile
 FIELDS_DEG = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0, 110.0)
-"""Horizontal fields of view for which the roadside is measured: a site's own one then changes the
-decision, not the profile."""
-
-_CAMERAS = 60
-"""Cameras that the hidden road is estimated from, spread over all drives."""
-
-_PICTURES = 120
-"""Images of a drive that its lens is measured in."""
-
-_ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
-"""Offsets from the track at which poles may stand."""
-
-_ROADSIDE_STEP_M = 4.0
-"""Distance between places along the track."""
-
-_ROAD_M = (3.0,)
-"""Offsets of the road's edges from the track, before any edge is known."""
-
+_CAMERAS = 60  # Cameras that the hidden road is estimated from, spread over all drives
+_PICTURES = 120  # Images of a drive that its lens is measured in
+_ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)  # Offsets from the track at which poles may stand
+_ROADSIDE_STEP_M = 4.0  # Distance between places along the track
+_ROAD_M = (3.0,)  # Offsets of the road's edges from the track, before any edge is known
+# Range within which images measure a pole: the reach of the triangulation by default
 _NEAR_M = 40.0
-"""Range within which images measure a pole: the reach of the triangulation by default."""
-
-_VIEWS = 3
-"""Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)."""
+_VIEWS = 3  # Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)
 
 
 def evenly(count: int, most: int) -> Ints:
@@ -225,26 +207,23 @@ def left_out_share(
 
 # Upright outlines in an image: edges of poles, posts, trunks and walls, to part of a pixel.
 
+# Standard deviation of the blur: less follows the noise, more joins the sides of thin posts
 _BLUR_PX = 1.0
-"""Standard deviation of the blur: less follows the noise, more joins the sides of thin posts."""
-
+# Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel
 _LEAST_STEP = 40.0
-"""Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel."""
-
+# An outline's step across must be this many times that along: within 18 degrees of upright
 _UPRIGHT = 3.0
-"""An outline's step across must be this many times that along: within 18 degrees of upright."""
-
+# Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer
 _SHARE_OF_ROWS = 0.95
-"""Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer."""
+_LEAST_HEIGHT = 0.3  # Lower ones are left out, as a share of the image's height
 
 
-def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
+def upright_curves(image: Bytes) -> list[Floats]:
     """Edges that run from row to row within about 18 degrees of upright.
 
     Parameters
     ----------
-    image : (rows, columns, 3) or (rows, columns). min_height : lower ones are left out, as a share
-        of the image's height.
+    image : (rows, columns, 3) or (rows, columns).
 
     Returns
     -------
@@ -256,17 +235,12 @@ def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
     curves = []
     for sign in (1.0, -1.0):
         step = np.maximum(sign * gu, 0.0)
-        ridge = _ridge(step) & (step > _LEAST_STEP) & (step > _UPRIGHT * np.abs(gv))
-        curves += _traced(ridge, step, min_height * image.shape[0])
+        # Where the step is greatest among its neighbours in the row.
+        ridge, middle = np.zeros(step.shape, bool), step[:, 1:-1]
+        ridge[:, 1:-1] = (middle > step[:, :-2]) & (middle >= step[:, 2:])
+        ridge &= (step > _LEAST_STEP) & (step > _UPRIGHT * np.abs(gv))
+        curves += _traced(ridge, step, _LEAST_HEIGHT * image.shape[0])
     return sorted(curves, key=lambda curve: (curve[0, 0], curve[0, 1], len(curve)))
-
-
-def _ridge(step: Floats32) -> Bools:
-    """Where the step is greatest among its neighbours in the row."""
-    ridge = np.zeros(step.shape, bool)
-    middle = step[:, 1:-1]
-    ridge[:, 1:-1] = (middle > step[:, :-2]) & (middle >= step[:, 2:])
-    return ridge
 
 
 def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
@@ -282,13 +256,9 @@ def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
         rows, columns = v[start:end], u[start:end]
         if end - start < least_px or len(np.unique(rows)) < _SHARE_OF_ROWS * (end - start):
             continue
-        curves.append(np.column_stack([_vertex(step, rows, columns), rows.astype(np.float64)]))
+        left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
+        bend = left - 2.0 * here + right
+        shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
+        vertex = columns + np.clip(shift, -0.5, 0.5)
+        curves.append(np.column_stack([vertex, rows.astype(np.float64)]))
     return curves
-
-
-def _vertex(step: Floats32, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """Columns where parabolas through three neighbours of a row are greatest."""
-    left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
-    bend = left - 2.0 * here + right
-    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
-    return columns + np.clip(shift, -0.5, 0.5)

@@ -6,6 +6,7 @@ is wrong with the whole table (swapped coordinates, another place) is one error.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,23 +20,12 @@ from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.cameras import azimuth_deg, compass_deg
 
 OK = "ok"
-
-_FEW = 2
-"""Places in a row that may be strays; more of them are a drive of their own."""
-
+_FEW = 2  # Places in a row that may be strays; more of them are a drive of their own
+# Share of places at which a track in random order turns back: about half; a drive at almost none
 _MOST = 0.4
-"""Share of places at which a track in random order turns back: about half; a drive at almost none.
-"""
-
+# A size with fewer images than this, and less than a fifth of the usual size's, is not calibrated
 _RARE_SIZE = 20
-"""A size with fewer images than this, and less than a fifth of the usual size's, is not
-calibrated."""
-
-_STANDING_M = 0.5
-"""Shorter steps are those of a vehicle that stands, see `headings_deg`."""
-
-_JUMP_M, _JUMP_FACTOR = 50.0, 5.0
-"""A step above both this and so many median steps is a jump."""
+_JUMP_M, _JUMP_FACTOR = 50.0, 5.0  # A step above both this and so many median steps is a jump
 
 
 @dataclass(frozen=True)
@@ -88,7 +78,13 @@ def build_frames(table: pd.DataFrame, site: Site, settings: Videolog) -> pd.Data
     frames.loc[known, "z_road"] = site.road_height(frames.loc[known, ["x", "y"]].to_numpy())
     bare = np.where(frames["z_road"].isna(), "no ground of the cloud near", OK)
     frames["status"] = merged(frames["status"], bare)
-    _check_any(frames)
+    if not (frames["status"] == OK).any():
+        counts = frames["status"].value_counts()
+        raise InputError(
+            "no image can be used",
+            where="videolog",
+            found="; ".join(f"{count} x {reason}" for reason, count in counts.items()),
+        )
     return frames.drop(columns="_located")
 
 
@@ -137,10 +133,9 @@ def locate(frames: pd.DataFrame, site: Site) -> tuple[Floats, NDArray[np.object_
     # In degrees, 0, 0 is what a receiver without a fix writes; a local system begins there.
     if not site.is_local:
         given &= (latitude != 0) | (longitude != 0)
-    xy = _places(site, latitude, longitude, given)
-    swapped = _places(site, longitude, latitude, given & (not site.is_local))
-    inside = _covered(site, xy)
-    inside_swapped = _covered(site, swapped) & ~inside
+    xy, inside = _places(site, latitude, longitude, given)
+    _, inside_swapped = _places(site, longitude, latitude, given & (not site.is_local))
+    inside_swapped &= ~inside
     if given.any() and not inside.any():
         _nowhere(frames[given], site, bool(inside_swapped.mean() > 0.5 * given.mean()))
     status = np.where(inside, OK, "outside the cloud").astype(object)
@@ -149,21 +144,17 @@ def locate(frames: pd.DataFrame, site: Site) -> tuple[Floats, NDArray[np.object_
     return np.where(inside[:, None], xy, np.nan), status
 
 
-def _places(site: Site, latitude: Floats, longitude: Floats, given: Bools) -> Floats:
-    """Places x, y (n, 2); NaN where the coordinates cannot be any."""
+def _places(site: Site, latitude: Floats, longitude: Floats, given: Bools) -> tuple[Floats, Bools]:
+    """Places x, y (n, 2), NaN where the coordinates cannot be any, and which the cloud covers."""
     possible = given.copy()
     if not site.is_local:
         possible &= (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)
     xy = np.full((len(latitude), 2), np.nan)
     xy[possible] = site.to_local(latitude[possible], longitude[possible])
-    xy[~np.isfinite(xy).all(axis=1)] = np.nan
-    return xy
-
-
-def _covered(site: Site, xy: Floats) -> Bools:
     covered = np.asarray(np.isfinite(xy).all(axis=1))
+    xy[~covered] = np.nan
     covered[covered] = site.covers(xy[covered])
-    return covered
+    return xy, covered
 
 
 def _nowhere(frames: pd.DataFrame, site: Site, swapped: bool) -> None:
@@ -214,15 +205,15 @@ def _along(route: pd.DataFrame, settings: Videolog) -> pd.DataFrame:
     route[["heading_deg", "heading_raw_deg", "step_m"]] = np.nan
     located = np.flatnonzero(route["_located"])
     xy = route[["x", "y"]].to_numpy()
-    drives, stray_m = split_drives(xy[located], settings)
-    _check_direction(xy[located], route["route"].iloc[0], settings)
+    drives, stray_m = split_drives(xy[located])
+    _check_direction(xy[located], route["route"].iloc[0])
     status = np.full(len(route), OK, object)
     for row, gap_m in zip(located, stray_m, strict=True):
         if gap_m > 0:
             status[row] = f"GPS jump of {gap_m:.0f} m"
     for drive in drives:
         rows = located[drive]
-        smooth, raw = headings_deg(xy[rows], settings.heading_images, _STANDING_M)
+        smooth, raw = headings_deg(xy[rows], settings.heading_images)
         lost = wandering(xy[rows], settings.heading_images)
         smooth, raw = np.where(lost, np.nan, smooth), np.where(lost, np.nan, raw)
         columns = ["heading_deg", "heading_raw_deg", "step_m"]
@@ -236,14 +227,14 @@ def _along(route: pd.DataFrame, settings: Videolog) -> pd.DataFrame:
     return route.assign(status=merged(route["status"], status))
 
 
-def _check_direction(xy: Floats, route: str, settings: Videolog) -> None:
+def _check_direction(xy: Floats, route: str) -> None:
     """Refuse an order in which the track turns back at most images.
 
     Raises
     ------
     InputError : it does.
     """
-    back, count = turning_back(xy, _STANDING_M)
+    back, count = turning_back(xy)
     if count > 1 and back > _MOST * count:
         raise InputError(
             "the track turns back at most images, so their order is not that of the drive",
@@ -253,7 +244,7 @@ def _check_direction(xy: Floats, route: str, settings: Videolog) -> None:
         )
 
 
-def split_drives(xy_m: Floats, settings: Videolog) -> tuple[list[Ints], Floats]:
+def split_drives(xy_m: Floats) -> tuple[list[Ints], Floats]:
     """Runs of places of one route without jumps, and strays.
 
     One or two places that lie a jump away from those before and after are strays. Where the track
@@ -271,7 +262,9 @@ def split_drives(xy_m: Floats, settings: Videolog) -> tuple[list[Ints], Floats]:
     if len(xy_m) == 0:
         return [], stray_m
     step = steps_m(xy_m)
-    limit = jump_limit_m(xy_m, settings)
+    # Longest step that is no jump, by the median step between images that moved.
+    moved = steps_m(xy_m[moving(xy_m)])[:-1]
+    limit = max(_JUMP_FACTOR * (float(np.median(moved)) if len(moved) else 0.0), _JUMP_M)
     runs = np.split(np.arange(len(xy_m)), np.flatnonzero(step[:-1] > limit) + 1)
     if max(map(len, runs)) > _FEW:
         for run in (run for run in runs if len(run) <= _FEW):
@@ -281,33 +274,71 @@ def split_drives(xy_m: Floats, settings: Videolog) -> tuple[list[Ints], Floats]:
     return np.split(kept, breaks), stray_m
 
 
-def jump_limit_m(xy_m: Floats, settings: Videolog) -> float:
-    """Longest step of a track that is no jump, by the median step between images that moved."""
-    step = steps_m(xy_m[moving(xy_m, _STANDING_M)])[:-1]
-    usual = float(np.median(step)) if len(step) else 0.0
-    return max(_JUMP_FACTOR * usual, _JUMP_M)
+# Order of the images of a route: time of capture, a number, a measure along the road, or rows.
+
+# Share of steps between rows of a table in which a measure falls where the drive is against it
+_CLEAR = 0.9
+_EXIF_DATE = re.compile(r"(\d{4}):(\d\d):(\d\d)")
 
 
-def _check_any(frames: pd.DataFrame) -> None:
-    if not (frames["status"] == OK).any():
-        counts = frames["status"].value_counts()
-        raise InputError(
-            "no image can be used",
-            where="videolog",
-            found="; ".join(f"{count} x {reason}" for reason, count in counts.items()),
-        )
+def seconds_of(texts: pd.Series) -> Floats:
+    """Times (n,) of a column as numbers that order them; NaN where one cannot be read.
+
+    Reads numbers (GPS or Unix time, any unit), ISO 8601 and what is near it, EXIF dates, and times
+    of day.
+    """
+    plain = texts.astype(str).str.strip()
+    numbers = pd.to_numeric(plain, errors="coerce")
+    if numbers.notna().any():
+        return numbers.to_numpy(float)
+    dates = plain.str.replace(_EXIF_DATE, r"\1-\2-\3", n=1, regex=True)
+    day_only = dates.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
+    dates = dates.where(~day_only, "1970-01-01 " + dates)
+    moments = pd.to_datetime(dates, errors="coerce", utc=True, format="mixed")
+    found = moments.to_numpy("datetime64[us]").astype(np.int64) / 1e6
+    return np.asarray(np.where(moments.isna(), np.nan, found))
+
+
+def drive_order(
+    route: pd.Series, sequence: Floats, time: Floats, is_measure: bool
+) -> tuple[Floats, dict[str, str]]:
+    """Number (n,) by which the images of each route are ordered, and what decided it by route.
+
+    Times decide where every image of a route has one; images of the same time keep their order by
+    number, then by row. A measure along the road that falls from row to row is a drive against it.
+
+    Parameters
+    ----------
+    route : name (n,). sequence : number of each image, NaN where missing. time : seconds, NaN where
+        missing. is_measure : whether the number is a measure such as a mile post.
+    """
+    found, reasons = sequence.copy(), {}
+    for name, rows in route.groupby(route).groups.items():
+        own = route.index.get_indexer(rows)
+        if len(own) > 1 and np.isfinite(time[own]).all() and np.ptp(time[own]) > 0:
+            number = sequence[own]
+            order = np.lexsort([np.arange(len(own)), number, time[own]])
+            told = number[order]
+            reasons[str(name)] = "time of capture"
+            if not (np.isfinite(told).all() and (np.diff(told) > 0).all()):
+                found[own[order]] = np.arange(len(own), dtype=float)
+        elif is_measure:
+            steps = np.diff(sequence[own][np.isfinite(sequence[own])])
+            steps = steps[steps != 0]
+            falls = len(steps) > 0 and np.mean(steps < 0) >= _CLEAR
+            reasons[str(name)] = "falling measure" if falls else "rising measure"
+            if falls:
+                ranks = pd.Series(-sequence[own]).rank(method="dense") - 1
+                found[own] = ranks.to_numpy(float)
+    return found, reasons
 
 
 # Headings along a videolog's track of noisy positions.
 
-STANDING_M = 0.5
-"""Steps below this are standing still: their direction is noise."""
-
+STANDING_M = 0.5  # Steps below this are standing still: their direction is noise
+# Side of the square within which a standing camera's positions wander: GPS noise of 2 to 3 m
 WANDERING_M = 10.0
-"""Side of the square within which a standing camera's positions wander: GPS noise of 2 to 3 m."""
-
-_ROUNDS = 5
-"""Fits of each parabola, each with weights from the one before."""
+_ROUNDS = 5  # Fits of each parabola, each with weights from the one before
 
 
 def steps_m(xy_m: ArrayLike) -> Floats:
@@ -316,19 +347,17 @@ def steps_m(xy_m: ArrayLike) -> Floats:
     return np.append(np.hypot(*np.diff(xy, axis=0).T), 0.0)[: len(xy)]
 
 
-def moving(xy_m: ArrayLike, standing_m: float = STANDING_M) -> Ints:
-    """Numbers of the places that are ``standing_m`` or more from the last such place."""
+def moving(xy_m: ArrayLike) -> Ints:
+    """Numbers of the places that are `STANDING_M` or more from the last such place."""
     xy = np.asarray(xy_m, np.float64)
     kept = [0] if len(xy) else []
     for number in range(1, len(xy)):
-        if np.hypot(*(xy[number] - xy[kept[-1]])) >= standing_m:
+        if np.hypot(*(xy[number] - xy[kept[-1]])) >= STANDING_M:
             kept.append(number)
     return np.array(kept, np.int64)
 
 
-def headings_deg(
-    xy_m: ArrayLike, half_window: int = 3, standing_m: float = STANDING_M
-) -> tuple[Floats, Floats]:
+def headings_deg(xy_m: ArrayLike, half_window: int = 3) -> tuple[Floats, Floats]:
     """Headings at places of one drive, clockwise from grid north.
 
     The raw heading is the direction to the next place (the last one takes the one before). The
@@ -341,19 +370,26 @@ def headings_deg(
     ----------
     xy_m : (n, 2) local metres in the order of travel.
     half_window : places to either side that are fitted; 0 gives the raw heading twice.
-    standing_m : places nearer than this to the last one are standing still.
 
     Returns
     -------
     smoothed, raw : (n,) degrees in [0, 360), NaN throughout if the vehicle never moved.
     """
     xy = np.asarray(xy_m, np.float64).reshape(-1, 2)
-    nodes = moving(xy, standing_m)
+    nodes = moving(xy)
     if len(nodes) < 2:
         return np.full(len(xy), np.nan), np.full(len(xy), np.nan)
     chord = azimuth_deg(xy[nodes[:-1]], xy[nodes[1:]])
     raw = np.append(chord, chord[-1])
-    smooth = raw if half_window < 1 else _tangents_deg(xy[nodes], half_window)
+    smooth = raw
+    if half_window > 0:
+        place = xy[nodes]
+        station = np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T)))
+        tangent = np.empty_like(place)
+        for k in range(len(place)):
+            part = slice(max(0, k - half_window), k + half_window + 1)
+            tangent[k] = _slope(station[part] - station[k], place[part] - place[k])
+        smooth = compass_deg(np.degrees(np.arctan2(tangent[:, 0], tangent[:, 1])))
     node_of = np.searchsorted(nodes, np.arange(len(xy)), side="right") - 1
     # A place of a stop that is not its first one came with the node's arrival.
     arrived = np.where(node_of > 0, node_of - (np.arange(len(xy)) != nodes[node_of]), 0)
@@ -382,29 +418,19 @@ def _wanders(xy: Floats) -> bool:
     return bool(np.hypot(*(xy[-1] - xy[0])) < 0.5 * way)
 
 
-def turning_back(xy_m: ArrayLike, standing_m: float = STANDING_M) -> tuple[int, int]:
+def turning_back(xy_m: ArrayLike) -> tuple[int, int]:
     """How many of the places that moved turn back by more than 120 degrees, and how many there are.
 
     Only tracks longer than where a camera may wander are looked at.
     """
     xy = np.asarray(xy_m, np.float64).reshape(-1, 2)
-    nodes = xy[moving(xy, standing_m)]
+    nodes = xy[moving(xy)]
     if len(nodes) < 4 or np.ptp(nodes, axis=0).max() < 2 * WANDERING_M:
         return 0, max(len(nodes) - 2, 0)
     step = np.diff(nodes, axis=0)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
     back = (step[:-1] * step[1:]).sum(axis=1) < -0.5
     return int(back.sum()), len(back)
-
-
-def _tangents_deg(xy: Floats, half_window: int) -> Floats:
-    """Headings of robust local parabolas through places (n, 2) that all moved."""
-    station = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
-    tangent = np.empty_like(xy)
-    for k in range(len(xy)):
-        part = slice(max(0, k - half_window), k + half_window + 1)
-        tangent[k] = _slope(station[part] - station[k], xy[part] - xy[k])
-    return compass_deg(np.degrees(np.arctan2(tangent[:, 0], tangent[:, 1])))
 
 
 def _slope(station: Floats, xy: Floats) -> Floats:

@@ -14,13 +14,11 @@ import numpy as np
 from roadsight.base.arrays import Bools, Bytes, Floats32
 from roadsight.poles.images.kinds import PixelClass
 
+# Fields: upright edges, level edges, markings, ground, things above it
 UPRIGHT, LEVEL, MARKED, GROUND, RAISED = range(5)
-"""Fields: upright edges, level edges, markings, ground, things above it."""
-FIELDS = 5
-"""How many fields there are."""
-
-_GROUND = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
-"""Classes that are always ground."""
+FIELDS = 5  # How many fields there are
+_GROUND = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)  # Classes that are always ground
+# Classes that always stand above ground; vegetation may be a lawn
 _RAISED = (
     PixelClass.POLE,
     PixelClass.SIGN,
@@ -29,23 +27,57 @@ _RAISED = (
     PixelClass.GUARDRAIL,
     PixelClass.TREE,
 )
-"""Classes that always stand above ground; vegetation may be a lawn."""
+# Wider images are looked at in this width. All scales were measured on 1,242 px images; memory and
+# time of wider ones would only grow.
 _WIDEST_PX = 1400
-"""Wider images are looked at in this width. All scales were measured on 1,242 px images; memory and
-time of wider ones would only grow."""
+# Share of samples whose edge the image does not show (shadow side, leaves); not tuned
 _CHANCE = 0.5
-"""Share of samples whose edge the image does not show (shadow side, leaves); not tuned."""
+# The neighbourhood of an edge is this many blurs wide: in clutter an edge then tells nothing
 _AROUND = 6.0
-"""The neighbourhood of an edge is this many blurs wide: in clutter an edge then tells nothing."""
+# Share of pixels with a wrong class that a surface allows for; networks err by about that
 _WRONG_CLASS = 0.1
-"""Share of pixels with a wrong class that a surface allows for; networks err by about that."""
+# Edges count up to this multiple of the mean gradient around: neither a sunlit facade nor the
+# border of a shadow then outweighs the rest
 _STRONGEST = 4.0
-"""Edges count up to this multiple of the mean gradient around: neither a sunlit facade nor the
-border of a shadow then outweighs the rest."""
+# Width of the neighbourhood that an edge's strength is relative to, one standard deviation
 _LOCAL_PX = 20.0
-"""Width of the neighbourhood that an edge's strength is relative to, one standard deviation."""
+# Wider blurs are made on a smaller image, which is faster and differs by less than 1 %
 _SMALL_PX = 6.0
-"""Wider blurs are made on a smaller image, which is faster and differs by less than 1 %."""
+
+
+class ImageEvidence:
+    """Fields of one image at any blur; each is computed once.
+
+    Attributes
+    ----------
+    shape : rows and columns of the fields. scale : their pixels per pixel of the image, at most 1.
+
+    Parameters
+    ----------
+    grey : (h, w) photograph. classes : (h, w) `PixelClass`.
+    """
+
+    def __init__(self, grey: Bytes, classes: Bytes) -> None:
+        self.scale = min(_WIDEST_PX / grey.shape[1], 1.0)
+        if self.scale < 1.0:
+            size = _WIDEST_PX, max(round(grey.shape[0] * self.scale), 1)
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+            classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+        self.shape: tuple[int, int] = (grey.shape[0], grey.shape[1])
+        marked = (classes == PixelClass.MARKING).astype(np.float32)
+        self._edges = (*edge_maps(grey), marked)
+        ground, raised = np.isin(classes, _GROUND), np.isin(classes, _RAISED)
+        self._surfaces = ground, raised
+        self._known = ground | raised | (classes == PixelClass.SKY)
+        self._fields: dict[float, Floats32] = {}
+
+    def at(self, sigma_px: float) -> Floats32:
+        """Fields (`FIELDS`, h, w) at a blur of one standard deviation ``sigma_px``."""
+        if sigma_px not in self._fields:
+            edges = [edge_field(values, sigma_px) for values in self._edges]
+            surfaces = [surface_field(mask, self._known, sigma_px) for mask in self._surfaces]
+            self._fields[sigma_px] = np.stack([*edges, *surfaces])
+        return self._fields[sigma_px]
 
 
 def edge_maps(grey: Bytes) -> tuple[Floats32, Floats32]:
@@ -100,41 +132,6 @@ def surface_field(mask: Bools, known: Bools, sigma_px: float) -> Floats32:
     right = 1.0 - _WRONG_CLASS
     field = np.log((_WRONG_CLASS + right * share) / (_WRONG_CLASS + right * mean))
     return field.astype(np.float32)
-
-
-class ImageEvidence:
-    """Fields of one image at any blur; each is computed once.
-
-    Attributes
-    ----------
-    shape : rows and columns of the fields. scale : their pixels per pixel of the image, at most 1.
-
-    Parameters
-    ----------
-    grey : (h, w) photograph. classes : (h, w) `PixelClass`.
-    """
-
-    def __init__(self, grey: Bytes, classes: Bytes) -> None:
-        self.scale = min(_WIDEST_PX / grey.shape[1], 1.0)
-        if self.scale < 1.0:
-            size = _WIDEST_PX, max(round(grey.shape[0] * self.scale), 1)
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-            classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-        self.shape: tuple[int, int] = (grey.shape[0], grey.shape[1])
-        marked = (classes == PixelClass.MARKING).astype(np.float32)
-        self._edges = (*edge_maps(grey), marked)
-        ground, raised = np.isin(classes, _GROUND), np.isin(classes, _RAISED)
-        self._surfaces = ground, raised
-        self._known = ground | raised | (classes == PixelClass.SKY)
-        self._fields: dict[float, Floats32] = {}
-
-    def at(self, sigma_px: float) -> Floats32:
-        """Fields (`FIELDS`, h, w) at a blur of one standard deviation ``sigma_px``."""
-        if sigma_px not in self._fields:
-            edges = [edge_field(values, sigma_px) for values in self._edges]
-            surfaces = [surface_field(mask, self._known, sigma_px) for mask in self._surfaces]
-            self._fields[sigma_px] = np.stack([*edges, *surfaces])
-        return self._fields[sigma_px]
 
 
 def _blurred(values: Floats32, sigma_px: float) -> Floats32:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.kinds import PixelClass
@@ -22,26 +22,16 @@ from roadsight.poles.images.lanes import (
     without_specks,
 )
 
-LANE = "lane"
-"""Kind of a point on a painted line."""
-
-BORDER = "border"
-"""Kind of a point on the road's border."""
-
+LANE = "lane"  # Kind of a point on a painted line
+BORDER = "border"  # Kind of a point on the road's border
+# Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts
 _BLUR_PX = 5
-"""Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts."""
-
-_MARGIN = 0.15
-"""Share of the road's width by which the dividing line stays away from its borders."""
-
-_ROWS_OF_A_LINE = 12
-"""Rows with two markings that a line half-way between them needs."""
-
+_MARGIN = 0.15  # Share of the road's width by which the dividing line stays away from its borders
+_ROWS_OF_A_LINE = 12  # Rows with two markings that a line half-way between them needs
+# How much farther from the border than usual a point of an edge line lies at most
 _EDGE_SPREAD = 1.5
-"""How much farther from the border than usual a point of an edge line lies at most."""
-
+# The same in pixels, beside that: of the mask's border and of the line's centre
 _EDGE_SLACK_PX = 2.0
-"""The same in pixels, beside that: of the mask's border and of the line's centre."""
 
 
 def _table(*classes: PixelClass) -> Bytes:
@@ -52,7 +42,6 @@ def _table(*classes: PixelClass) -> Bytes:
 
 # What a road's border encloses.
 _ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
-
 # Against these the road's border is not traced: they stand in front of it, or it drops out of
 # sight; a kerb is an edge by its own centre-line.
 _OCCLUDERS = _table(
@@ -91,7 +80,9 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     centre-line is border.
     """
     settings = settings or EdgeTracing()
-    road = _cleaned_road(cv2.LUT(mask, _ROAD), settings)
+    # The road without specks and without small holes, 0 or 1.
+    smallest = max((settings.min_border_px * scale_of(len(mask))) ** 2, 4.0)
+    road = 1 - without_specks(1 - without_specks(cv2.LUT(mask, _ROAD), smallest), smallest)
     span = _road_span(road)
     markings = centre_lines(mask == PixelClass.MARKING, settings.min_marking_px)
     axes = middle_lines(markings, span, mask.shape[0], settings)
@@ -115,21 +106,12 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     row = np.clip(np.round(points[:, 1]), 0, len(mask) - 1).astype(np.int64)
     side = np.where(points[:, 0] < dividing[row], -1, 1).astype(np.int8)
     is_lane = np.arange(len(points)) < len(lanes)
-    reason = "" if len(points) else _why_nothing(mask, road)
+    reason = ""
+    if not len(points):
+        reason = "no edge of the road in sight" if road.any() else "road too small"
+        if not cv2.LUT(mask, _ROAD).any():
+            reason = "no road in the mask"
     return ImageEdges(points.astype(np.float32), side, is_lane, reason)
-
-
-def _why_nothing(mask: Bytes, road: Bytes) -> str:
-    if not cv2.LUT(mask, _ROAD).any():
-        return "no road in the mask"
-    return "road too small" if not road.any() else "no edge of the road in sight"
-
-
-def _cleaned_road(road: NDArray, settings: EdgeTracing) -> Bytes:
-    """The road without specks and without small holes (0 or 1)."""
-    smallest = max((settings.min_border_px * scale_of(len(road))) ** 2, 4.0)
-    cleaned = without_specks(road, smallest)
-    return 1 - without_specks(1 - cleaned, smallest)
 
 
 @compiled()
@@ -165,7 +147,16 @@ def _borders(mask: Bytes, road: Bytes, settings: EdgeTracing) -> Floats:
     points = _crossings(soft, 127.0)
     column, row = np.round(points).astype(np.int64).T
     points = points[hidden[row, column] == 0]
-    points = _long_enough(points, part.shape, settings)
+    if len(points):
+        # Pieces are drawn coarsely, so that small gaps do not part them.
+        scale = scale_of(len(part))
+        cell = max(round(3 * scale), 2)
+        drawn = np.zeros((part.shape[0] // cell + 1, part.shape[1] // cell + 1), np.uint8)
+        column, row = (np.floor(points).astype(np.int64) // cell).T
+        drawn[row, column] = 1
+        _, labels = cv2.connectedComponents(drawn, connectivity=8, ltype=cv2.CV_32S)
+        own = labels[row, column]
+        points = points[np.bincount(own)[own] >= max(settings.min_border_px * scale, 6.0)]
     return np.add(points, (0.0, float(top)))
 
 
@@ -174,8 +165,12 @@ def _crossings(soft: NDArray, level: float) -> Floats:
 
     Each crossing is taken along the axis that cuts the border more squarely.
     """
-    near = _near_border(soft, level)
-    column, row = near[:, 1], near[:, 0]
+    # Pixels that differ from a neighbour below or to the right.
+    inside = soft > level
+    change = np.zeros(soft.shape, bool)
+    change[:, :-1] |= inside[:, :-1] != inside[:, 1:]
+    change[:-1] |= inside[:-1] != inside[1:]
+    row, column = np.nonzero(change)
     values = soft.astype(np.int16)
     last_row, last_column = soft.shape[0] - 1, soft.shape[1] - 1
     inner = (row > 0) & (row < last_row) & (column > 0) & (column < last_column)
@@ -193,28 +188,6 @@ def _crossings(soft: NDArray, level: float) -> Floats:
         )
     points = np.concatenate(found)
     return points[np.lexsort((points[:, 0], points[:, 1]))]
-
-
-def _near_border(soft: Bytes, level: float) -> Ints:
-    """Pixels (n, 2) as row, column that differ from a neighbour below or to the right."""
-    inside = soft > level
-    change = np.zeros(soft.shape, bool)
-    change[:, :-1] |= inside[:, :-1] != inside[:, 1:]
-    change[:-1] |= inside[:-1] != inside[1:]
-    return np.argwhere(change)
-
-
-def _long_enough(points: Floats, shape: tuple[int, int], settings: EdgeTracing) -> Floats:
-    if not len(points):
-        return points
-    cell = max(round(3 * scale_of(shape[0])), 2)
-    drawn = np.zeros((shape[0] // cell + 1, shape[1] // cell + 1), np.uint8)
-    column, row = (np.floor(points).astype(np.int64) // cell).T
-    drawn[row, column] = 1
-    _, labels = cv2.connectedComponents(drawn, connectivity=8, ltype=cv2.CV_32S)
-    own = labels[row, column]
-    needed = max(settings.min_border_px * scale_of(shape[0]), 6.0)
-    return points[np.bincount(own)[own] >= needed]
 
 
 def _between(points: Floats, lanes: Floats, height_px: int) -> Bools:
@@ -268,21 +241,18 @@ def _dividing_line(axes: list[Curve], lanes: Floats, road: Bytes, tolerance_px: 
     rows, or without both, the road ahead of the camera.
     """
     hints = np.full(len(road), np.nan)
-    axis = axes[len(axes) // 2] if axes else _half_way(lanes, tolerance_px)
+    axis = axes[len(axes) // 2] if axes else None
+    if axis is None:
+        row, u = clusters_by_row(lanes, 1.5)
+        rows, start, count = np.unique(row, return_index=True, return_counts=True)
+        two = count >= 2
+        half = 0.5 * (u[start[two]] + u[start[two] + count[two] - 1])
+        if len(half) >= _ROWS_OF_A_LINE:
+            axis = fit_curve(np.column_stack([half, rows[two].astype(float)]), tolerance_px)
     if axis is not None:
         rows = np.arange(max(round(axis.v_px[0]), 0), min(round(axis.v_px[-1]) + 1, len(road)))
         hints[rows] = axis.at(rows)
     return _road_ahead(road, hints)
-
-
-def _half_way(lanes: Floats, tolerance_px: float) -> Curve | None:
-    row, u = clusters_by_row(lanes, 1.5)
-    rows, start, count = np.unique(row, return_index=True, return_counts=True)
-    two = count >= 2
-    half = 0.5 * (u[start[two]] + u[start[two] + count[two] - 1])
-    if len(half) < _ROWS_OF_A_LINE:
-        return None
-    return fit_curve(np.column_stack([half, rows[two].astype(float)]), tolerance_px)
 
 
 @compiled()
@@ -330,18 +300,13 @@ def _nearest_road(line: Bytes, start: int, reach: int) -> int:
 
 
 # Road borders that bound the carriageway itself: the first on either side of the camera's path.
-#
 # Where forecourts and drives are paved like the street, the road of a mask runs on into them and
 # its far border says nothing about the street. A kerb ends the road even where paving goes on,
 # and what lies behind a parked car is not looked for.
 
 # 1 for the classes over which the road runs on.
-_OPEN = np.zeros(256, np.uint8)
-
-_OPEN[[PixelClass.ROAD, PixelClass.MARKING]] = 1
-
-_KERB = int(PixelClass.KERB)
-"""As a plain number, for comparisons with masks."""
+_OPEN = _table(PixelClass.ROAD, PixelClass.MARKING)
+_KERB = int(PixelClass.KERB)  # As a plain number, for comparisons with masks
 
 
 def on_nearest_border(

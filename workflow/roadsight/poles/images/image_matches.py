@@ -14,26 +14,18 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
+# Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
+# a fifth more right matches than with 1500 (at 0.8 of the second nearest one's distance).
 _FEATURES = 3000
-"""Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
-a fifth more right matches than with 1500 (at 0.8 of the second nearest one's distance)."""
-
-_CONTRAST = 0.02
-"""Half of OpenCV's threshold: fields and asphalt have little contrast."""
-
+_CONTRAST = 0.02  # Half of OpenCV's threshold: fields and asphalt have little contrast
+# A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8, with
+# which a third of a wide lens's matches are wrong, most of them by a few pixels: the next branch.
 _CLEARER = 0.7
-"""A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8, with
-which a third of a wide lens's matches are wrong, most of them by a few pixels: the next branch."""
-
+# How many times larger the next image may show a thing. Things come nearer along a road; a size is
+# measured to some tenths.
 _LARGER = (0.7, 4.0)
-"""How many times larger the next image may show a thing. Things come nearer along a road; a size is
-measured to some tenths."""
-
-_FARTHEST_M = 40.0
-"""Images further apart show the same things too differently."""
-
-_STANDING_M = 0.3
-"""Images nearer than this have no baseline that a direction could be told from."""
+_FARTHEST_M = 40.0  # Images further apart show the same things too differently
+_STANDING_M = 0.3  # Images nearer than this have no baseline that a direction could be told from
 
 
 @dataclass(frozen=True)
@@ -116,36 +108,26 @@ def consecutive(
 
 
 # Yaw of a side view from what it shows of the front view of some metres before.
-#
 # What leaves the front view at its edge enters the side view. A point that both show spans a
 # plane with the way between the two places, and the yaw must bring the side view's ray into that
 # plane; so every match votes for a yaw, right ones for one. Nothing but the poses of the front
 # view is needed: no pole, no cloud.
 
+# Width of the bins in which votes are counted: wider than the votes' scatter of 0.2
 _STEP_DEG = 0.5
-"""Width of the bins in which votes are counted: wider than the votes' scatter of 0.2."""
-
-_REFINED_DEG = 1.0
-"""Votes within this of the best bin are averaged."""
-
-_RIVAL_DEG = 2.0
-"""Bins that are farther from the best one are its rivals."""
-
-_CLEARER_SIDE_MATCHES = 3.0
-"""Weight of the best yaw over that of its best rival, else the yaw stays unknown. On the generated
-rural road it is 10 at least for either side, in every sixth place."""
-
-_FEWEST = 12
-"""Votes that must agree on a yaw."""
-
+_WIDEST_DEG = 120.0  # Yaws beyond this to either side do not count
+_REFINED_DEG = 1.0  # Votes within this of the best bin are averaged
+_RIVAL_DEG = 2.0  # Bins that are farther from the best one are its rivals
+# Weight of the best yaw over that of its best rival, else the yaw stays unknown. On the generated
+# rural road it is 10 at least for either side, in every sixth place.
+_OVER_RIVAL = 3.0
+_FEWEST = 12  # Votes that must agree on a yaw
+# Standard deviation that many votes do not get below: errors of poses are shared
 _LEAST_SIGMA_DEG = 0.02
-"""Standard deviation that many votes do not get below: errors of poses are shared."""
-
+# Standard deviation over median absolute deviation, of a normal distribution
 _SIGMA_PER_MAD = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
-
+# Sine of the angle at which a ray passes through its plane, above which a vote weighs no more
 _SHARPEST = 0.3
-"""Sine of the angle at which a ray passes through its plane, above which a vote weighs no more."""
 
 
 @dataclass(frozen=True)
@@ -192,19 +174,14 @@ def turn_votes(
     return Votes((turns + 180.0) % 360.0 - 180.0, weight)
 
 
-def agreed_turn(votes: Votes, widest_deg: float = 120.0) -> tuple[float, float]:
-    """Yaw that the votes agree on and its sigma, degrees; NaN and infinite where none is clear.
-
-    Parameters
-    ----------
-    widest_deg : yaws beyond this to either side do not count.
-    """
+def agreed_turn(votes: Votes) -> tuple[float, float]:
+    """Yaw that the votes agree on and its sigma, degrees; NaN and infinite where none is clear."""
     nothing = float("nan"), float("inf")
-    inside = np.abs(votes.turn_deg) < widest_deg
+    inside = np.abs(votes.turn_deg) < _WIDEST_DEG
     turn, weight = votes.turn_deg[inside], votes.weight[inside]
     if len(turn) < _FEWEST:
         return nothing
-    edges = np.arange(-widest_deg, widest_deg + _STEP_DEG, _STEP_DEG)
+    edges = np.arange(-_WIDEST_DEG, _WIDEST_DEG + _STEP_DEG, _STEP_DEG)
     count, _ = np.histogram(turn, edges, weights=weight)
     # Two bins together: a yaw on the border of two is no weaker than one in the middle.
     pair = count[:-1] + count[1:]
@@ -212,7 +189,7 @@ def agreed_turn(votes: Votes, widest_deg: float = 120.0) -> tuple[float, float]:
     middle = edges[best + 1]
     rivals = np.abs(edges[1:-1] - middle) > _RIVAL_DEG
     near = np.abs(turn - middle) < _REFINED_DEG
-    if near.sum() < _FEWEST or pair[best] < _CLEARER_SIDE_MATCHES * pair[rivals].max(initial=0.0):
+    if near.sum() < _FEWEST or pair[best] < _OVER_RIVAL * pair[rivals].max(initial=0.0):
         return nothing
     order = np.argsort(turn[near], kind="stable")
     total = np.cumsum(weight[near][order])

@@ -16,11 +16,8 @@ from typing import Literal
 Shape = Literal["stem", "panel", "crown", "line", "block"]
 
 
-# Classes of mask pixels, whatever the network's own labels are.
-
-
 class PixelClass(IntEnum):
-    """What a pixel shows."""
+    """What a pixel shows, whatever the network's own labels are."""
 
     OTHER = 0
     ROAD = 1
@@ -71,6 +68,16 @@ class ObjectKind:
         return self.shape in ("crown", "line", "block")
 
 
+# Sign: 15 px are 5 px in the sample's images, as which a panel of 0.8 m is seen from 200 m. Speed
+# limits and warnings are 0.61 by 0.76 m and 0.76 by 0.76 m in the United States (MUTCD,
+# conventional roads), 0.6 to 0.9 m across in Europe; half of the logarithm covers marker boards,
+# large signs and panels seen from the side. A panel's edge stands 0.6 m behind a kerb, its post
+# 0.9 m: less than that by the error of the road's edge. Tree: lower ones are bushes, which
+# vehicles run over. Guardrail: W-beams reach 0.69 to 0.81 m, concrete barriers 0.81 to 1.07 m;
+# below 0.35 m is grass. Networks take rails for road, shoulder or vehicles, so that only sky and
+# buildings contradict them. Building: what is lower than a garage or smaller than a hut gives way.
+# Headwall: from a kerb's height, which stops a wheel, to the wall of a large culvert; grass hides
+# it in images, so that only sky contradicts.
 KINDS = {
     "pole": ObjectKind((PixelClass.POLE,), "stem"),
     "sign": ObjectKind(
@@ -108,12 +115,3 @@ KINDS = {
         needs_mask=False,
     ),
 }
-"""Sign: 15 px are 5 px in the sample's images, as which a panel of 0.8 m is seen from 200 m. Speed
-limits and warnings are 0.61 by 0.76 m and 0.76 by 0.76 m in the United States (MUTCD, conventional
-roads), 0.6 to 0.9 m across in Europe; half of the logarithm covers marker boards, large signs and
-panels seen from the side. A panel's edge stands 0.6 m behind a kerb, its post 0.9 m: less than that
-by the error of the road's edge. Tree: lower ones are bushes, which vehicles run over. Guardrail:
-W-beams reach 0.69 to 0.81 m, concrete barriers 0.81 to 1.07 m; below 0.35 m is grass. Networks take
-rails for road, shoulder or vehicles, so that only sky and buildings contradict them. Building: what
-is lower than a garage or smaller than a hut gives way. Headwall: from a kerb's height, which stops
-a wheel, to the wall of a large culvert; grass hides it in images, so that only sky contradicts."""

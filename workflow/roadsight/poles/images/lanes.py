@@ -15,45 +15,15 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import EdgeTracing
 
-PUBLISHED_HEIGHT_PX = 1200
-"""Height of the study's images, for which its thresholds in pixels hold."""
-_MAX_MIDDLE_LINES = 4
-"""Middle lines that are taken out at most; a double line has two."""
+PUBLISHED_HEIGHT_PX = 1200  # Height of the study's images, for which its thresholds in pixels hold
+_MAX_MIDDLE_LINES = 4  # Middle lines that are taken out at most; a double line has two
+# Where a middle line lies, as a share of the road's width from the left
 _MIDDLE_THIRD = (0.35, 0.65)
-"""Where a middle line lies, as a share of the road's width from the left."""
-_STRETCH_POINTS = 10
-"""Points that a straight stretch of a curve needs."""
-_LINE_ROUNDS = 12
-"""Rounds of reweighting for least absolute errors."""
-
-
+_STRETCH_POINTS = 10  # Points that a straight stretch of a curve needs
+_LINE_ROUNDS = 12  # Rounds of reweighting for least absolute errors
+# Rows with three or more markings that a middle line needs; px of an image 1200 px high
 _DENSE_ROWS_PX = 20.0
-"""Rows with three or more markings that a middle line needs; px of an image 1200 px high."""
-_WIDEST_PX = 120.0
-"""Thicker runs are no lines; px of such an image."""
-
-
-def scale_of(height_px: int) -> float:
-    """Pixels of an image in one pixel of the published size, in which settings are stated."""
-    return height_px / PUBLISHED_HEIGHT_PX
-
-
-def without_specks(region: Bytes, smallest_px: float) -> Bytes:
-    """Region (rows, columns; 0 or 1) without parts of fewer pixels, holes counted in.
-
-    By outlines, because they are far fewer than pixels.
-    """
-    outlines, nesting = cv2.findContours(region, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    if not len(outlines):
-        return region
-    outer = [o for o, (*_, parent) in zip(outlines, nesting[0], strict=True) if parent < 0]
-    # Pick's theorem: pixels of a part = area of the polygon through their centres + rim / 2 + 1.
-    small = [o for o in outer if cv2.contourArea(o) + len(o) / 2 + 1 < smallest_px]
-    if not small:
-        return region
-    kept = region.copy()
-    cv2.drawContours(kept, small, -1, 0, cv2.FILLED)
-    return kept
+_WIDEST_PX = 120.0  # Thicker runs are no lines; px of such an image
 
 
 def centre_lines(marking: Bools, min_marking_px: float) -> Floats:
@@ -106,6 +76,93 @@ def _runs(line: Ints, along: Ints) -> Ints:
     number = np.empty(len(line), np.int64)
     number[order] = np.cumsum(starts) - 1
     return number
+
+
+def without_specks(region: Bytes, smallest_px: float) -> Bytes:
+    """Region (rows, columns; 0 or 1) without parts of fewer pixels, holes counted in.
+
+    By outlines, because they are far fewer than pixels.
+    """
+    outlines, nesting = cv2.findContours(region, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    if not len(outlines):
+        return region
+    outer = [o for o, (*_, parent) in zip(outlines, nesting[0], strict=True) if parent < 0]
+    # Pick's theorem: pixels of a part = area of the polygon through their centres + rim / 2 + 1.
+    small = [o for o in outer if cv2.contourArea(o) + len(o) / 2 + 1 < smallest_px]
+    if not small:
+        return region
+    kept = region.copy()
+    cv2.drawContours(kept, small, -1, 0, cv2.FILLED)
+    return kept
+
+
+def middle_lines(
+    points: Floats, road_span: Floats, height_px: int, settings: EdgeTracing
+) -> list[Curve]:
+    """Axes of the lines between the outermost markings, most of one road one.
+
+    Rows with three or more markings give an axis through those between the outermost two; where
+    there are too few such rows, markings in the middle third of the road give it.
+
+    Parameters
+    ----------
+    points : centre-line points (n, 2). road_span : first and last road column (rows, 2), NaN where
+        a row has no road. height_px : of the image.
+    """
+    scale = scale_of(height_px)
+    needed = max(_DENSE_ROWS_PX * scale, 4.0)
+    tolerance = max(settings.axis_px * scale, 2.0)
+    axes: list[Curve] = []
+    while len(axes) < _MAX_MIDDLE_LINES:
+        row, u = clusters_by_row(points, max(settings.gap_px * scale, 1.5))
+        # The middle one of those between the outermost of each row with three or more.
+        rows, start, count = np.unique(row, return_index=True, return_counts=True)
+        dense = count >= 3
+        middle = start[dense] + count[dense] // 2
+        inner = np.column_stack([u[middle], rows[dense].astype(float)])
+        if len(np.unique(inner[:, 1])) < needed:
+            inner = np.empty((0, 2)) if axes else _central_clusters(row, u, road_span)
+        if len(np.unique(inner[:, 1])) < needed:
+            break
+        axis = fit_curve(inner, tolerance)
+        if axis is None:
+            break
+        axes.append(axis)
+        points = points[axis.distance_px(points) > tolerance]
+    return axes
+
+
+def _central_clusters(row: Ints, u: Floats, road_span: Floats) -> Floats:
+    """Those (n, 2) in the middle third of the road."""
+    if not len(row):
+        return np.empty((0, 2))
+    left, right = road_span[np.clip(row, 0, len(road_span) - 1)].T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        place = (u - left) / (right - left)
+    central = (place > _MIDDLE_THIRD[0]) & (place < _MIDDLE_THIRD[1])
+    return np.column_stack([u[central], row[central].astype(float)])
+
+
+def clusters_by_row(points: Floats, gap_px: float) -> tuple[Ints, Floats]:
+    """Rows with their clusters' centroids, left to right.
+
+    Parameters
+    ----------
+    points : (n, 2) sorted by row and then by column.
+
+    Returns
+    -------
+    row (m,) of each cluster and its u (m,), in the same order
+    """
+    if not len(points):
+        return np.empty(0, np.int64), np.empty(0)
+    row = np.round(points[:, 1]).astype(np.int64)
+    order = np.lexsort((points[:, 0], row))
+    row, u = row[order], points[order, 0]
+    first = np.ones(len(u), bool)
+    first[1:] = (np.diff(row) != 0) | (np.diff(u) > gap_px)
+    number = np.cumsum(first) - 1
+    return row[first], np.bincount(number, u) / np.bincount(number)
 
 
 @dataclass(frozen=True)
@@ -170,73 +227,6 @@ def _straight(points: Floats, tolerance_px: float) -> tuple[float, float, float]
     return float(solution[0]), float(solution[1]), middle
 
 
-def clusters_by_row(points: Floats, gap_px: float) -> tuple[Ints, Floats]:
-    """Rows with their clusters' centroids, left to right.
-
-    Parameters
-    ----------
-    points : (n, 2) sorted by row and then by column.
-
-    Returns
-    -------
-    row (m,) of each cluster and its u (m,), in the same order
-    """
-    if not len(points):
-        return np.empty(0, np.int64), np.empty(0)
-    row = np.round(points[:, 1]).astype(np.int64)
-    order = np.lexsort((points[:, 0], row))
-    row, u = row[order], points[order, 0]
-    first = np.ones(len(u), bool)
-    first[1:] = (np.diff(row) != 0) | (np.diff(u) > gap_px)
-    number = np.cumsum(first) - 1
-    return row[first], np.bincount(number, u) / np.bincount(number)
-
-
-def middle_lines(
-    points: Floats, road_span: Floats, height_px: int, settings: EdgeTracing
-) -> list[Curve]:
-    """Axes of the lines between the outermost markings, most of one road one.
-
-    Rows with three or more markings give an axis through those between the outermost two; where
-    there are too few such rows, markings in the middle third of the road give it.
-
-    Parameters
-    ----------
-    points : centre-line points (n, 2). road_span : first and last road column (rows, 2), NaN where
-        a row has no road. height_px : of the image.
-    """
-    scale = scale_of(height_px)
-    needed = max(_DENSE_ROWS_PX * scale, 4.0)
-    tolerance = max(settings.axis_px * scale, 2.0)
-    axes: list[Curve] = []
-    while len(axes) < _MAX_MIDDLE_LINES:
-        row, u = clusters_by_row(points, max(settings.gap_px * scale, 1.5))
-        inner = _inner_clusters(row, u)
-        if len(np.unique(inner[:, 1])) < needed:
-            inner = np.empty((0, 2)) if axes else _central_clusters(row, u, road_span)
-        if len(np.unique(inner[:, 1])) < needed:
-            break
-        axis = fit_curve(inner, tolerance)
-        if axis is None:
-            break
-        axes.append(axis)
-        points = points[axis.distance_px(points) > tolerance]
-    return axes
-
-
-def _inner_clusters(row: Ints, u: Floats) -> Floats:
-    """The middle one (n, 2) of those between the outermost of each row with three or more."""
-    rows, start, count = np.unique(row, return_index=True, return_counts=True)
-    dense = count >= 3
-    middle = start[dense] + count[dense] // 2
-    return np.column_stack([u[middle], rows[dense].astype(float)])
-
-
-def _central_clusters(row: Ints, u: Floats, road_span: Floats) -> Floats:
-    if not len(row):
-        return np.empty((0, 2))
-    left, right = road_span[np.clip(row, 0, len(road_span) - 1)].T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        place = (u - left) / (right - left)
-    central = (place > _MIDDLE_THIRD[0]) & (place < _MIDDLE_THIRD[1])
-    return np.column_stack([u[central], row[central].astype(float)])
+def scale_of(height_px: int) -> float:
+    """Pixels of an image in one pixel of the published size, in which settings are stated."""
+    return height_px / PUBLISHED_HEIGHT_PX

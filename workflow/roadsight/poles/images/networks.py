@@ -10,32 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roadsight.base.arrays import Bools, Bytes, Floats32
+from roadsight.base.arrays import Bytes, Floats32
 from roadsight.base.errors import InputError
 from roadsight.poles.images.kinds import PixelClass
 
+# The network: input tensor (1, 3, h, w) to its used outputs
 Run = Callable[[Floats32], list[NDArray]]
-"""The network: input tensor (1, 3, h, w) to its used outputs."""
-
+# OpenCV's numbers of the ways to resize that a manifest may name
 _RESIZE = {
     "linear": cv2.INTER_LINEAR,
     "area": cv2.INTER_AREA,
     "cubic": cv2.INTER_CUBIC,
     "nearest": cv2.INTER_NEAREST,
 }
-"""OpenCV's numbers of the ways to resize that a manifest may name."""
-
-FULL_SCALE = 65535
-"""Greatest value of a 16-bit map."""
-
+FULL_SCALE = 65535  # Greatest value of a 16-bit map
+# Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m
 METRIC_NEAREST_M = 0.5
-"""Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m."""
-
-_LEAST_CONTRAST = 1e-3
-"""A map that varies by less than this share of its values is constant."""
-
+_LEAST_CONTRAST = 1e-3  # A map that varies by less than this share of its values is constant
+# Logarithms of proportions nearer than this are equal: a square image fits either way
 _SAME_PROPORTION = 1e-9
-"""Logarithms of proportions nearer than this are equal: a square image fits either way."""
 
 
 def tensor_of(image: Bytes, spec: Input, wanted_height_px: int = 0) -> Floats32:
@@ -73,7 +66,10 @@ def class_mask(
         return manifest.lookup()[labels]
     scores = outputs[0][0]
     if manifest.output.kind == "query_masks":
-        scores = _query_scores(outputs[0][0], outputs[1][0])
+        shifted = np.exp(scores - scores.max(axis=1, keepdims=True))
+        shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
+        inside = 1.0 / (1.0 + np.exp(-np.clip(outputs[1][0], -60.0, 60.0)))
+        scores = np.tensordot(shares.T, inside, axes=1)
     if len(scores) != manifest.labels:
         raise InputError(
             "does not state as many labels as the network gives",
@@ -94,14 +90,6 @@ def _checked(found: NDArray, labels: Labels, where: str) -> NDArray[np.uint16]:
             allowed=f"0 to {(labels.labels or 0) - 1}, 2 axes",
         )
     return found.astype(np.uint16)
-
-
-def _query_scores(class_logits: Floats32, mask_logits: Floats32) -> Floats32:
-    """Scores (L, h, w) from (Q, L + 1) and (Q, h, w)."""
-    shifted = np.exp(class_logits - class_logits.max(axis=1, keepdims=True))
-    shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
-    inside = 1.0 / (1.0 + np.exp(-np.clip(mask_logits, -60.0, 60.0)))
-    return np.tensordot(shares.T, inside, axes=1)
 
 
 def _largest(scores: Floats32, shape: tuple[int, int]) -> NDArray[np.uint16]:
@@ -173,7 +161,7 @@ def merge_masks(masks: list[Bytes], sources: list[Labels]) -> Bytes:
     for mask, source in zip(masks, sources, strict=True):
         says = mask != SILENT
         if source.over is not None:
-            says &= source.replaceable()[merged]
+            says &= np.isin(merged, [_PROJECT_CLASSES[name] for name in source.over])
         np.copyto(merged, mask, where=says)
     return merged
 
@@ -225,32 +213,23 @@ def downward_trend(packed: NDArray[np.uint16]) -> float:
 
 
 # Manifests: what a network file expects and what its numbers mean (docs/poles/models.md).
-#
 # A manifest is a YAML file beside a model. A label map is its little sister for label images that
 # somebody else made.
 
 Label = Annotated[int, Field(ge=0, le=65534)]
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
 Number = Annotated[float, Field(allow_inf_nan=False)]
-
 Pixels = Annotated[int, Field(ge=1, le=16384)]
-
 Triple = tuple[Number, Number, Number]
-
-SILENT = np.uint8(255)
-"""Pixel about which a source says nothing."""
-
+SILENT = np.uint8(255)  # Pixel about which a source says nothing
+# Kinds of output that fit each task
 _KINDS = {
     "classes": ("logits", "labels", "query_masks"),
     "relative_depth": ("inverse_depth", "depth"),
     "metric_depth": ("inverse_depth", "depth"),
 }
-"""Kinds of output that fit each task."""
-
+# Numbers of the project classes by name
 _PROJECT_CLASSES = {entry.name.lower(): int(entry) for entry in PixelClass}
-"""Numbers of the project classes by name."""
 
 
 class _Section(BaseModel):
@@ -281,14 +260,6 @@ class Labels(_Section):
         table = np.full(self.labels or max(self.classes, default=0) + 1, SILENT, np.uint8)
         for label, name in self.classes.items():
             table[label] = _PROJECT_CLASSES[name]
-        return table
-
-    def replaceable(self) -> Bools:
-        """Whether a project class of an earlier source may be replaced, by class number."""
-        if self.over is None:
-            return np.ones(256, bool)
-        table = np.zeros(256, bool)
-        table[[_PROJECT_CLASSES[name] for name in self.over]] = True
         return table
 
 

@@ -11,21 +11,17 @@ from roadsight.geometry.cameras import project
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
-_MARGIN = 0.15
-"""Margin around an object, as a share of its height."""
+_MARGIN = 0.15  # Margin around an object, as a share of its height
+# Width of a picture at least, as a share of its height: what stands beside it tells the place
 _LEAST_WIDTH = 0.6
-"""Width of a picture at least, as a share of its height: what stands beside it tells the place."""
+# What a view counts whose foot is hidden, or whose top the image cuts off, against a whole one
 _HALF = 0.5
-"""What a view counts whose foot is hidden, or whose top the image cuts off, against a whole one."""
-_LEAST_AWAY_M = 2.0
-"""What is nearer to the camera than this is beside it."""
-_SHOWN = 0.6
-"""Share of an object's width, and of its height, that an image must hold."""
-_CUT_PX = 1.0
-"""So near the image's upper end an object is cut off."""
+_LEAST_AWAY_M = 2.0  # What is nearer to the camera than this is beside it
+_SHOWN = 0.6  # Share of an object's width, and of its height, that an image must hold
+_CUT_PX = 1.0  # So near the image's upper end an object is cut off
+# Blocks across the longer side of an image that is made unrecognisable: a plate 20 m away, or a
+# face, then lies in one of them
 _BLOCKS = 60
-"""Blocks across the longer side of an image that is made unrecognisable: a plate 20 m away, or a
-face, then lies in one of them."""
 
 
 def best_views(sightings: pd.DataFrame, owner: Ints, objects: int) -> Ints:

@@ -16,31 +16,22 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.lens import RadialLens
 
+# One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of action
+# cameras reach a third in k1
 _PRIOR = np.array([0.5, 0.05])
-"""One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of
-action cameras reach a third in k1."""
-_TRACED_PX = 0.15
-"""What tracing adds to the bow of a straight outline, one standard deviation."""
-_CROOKED = 0.002
-"""Bow of a straight thing as a share of its length: 2 mm in a metre."""
+_TRACED_PX = 0.15  # What tracing adds to the bow of a straight outline, one standard deviation
+_CROOKED = 0.002  # Bow of a straight thing as a share of its length: 2 mm in a metre
+# Values of k1 from which the best start is taken; the robust misfit may have several minima
 _SCAN = np.linspace(-0.4, 0.4, 161)
-"""Values of k1 from which the best start is taken; the robust misfit may have several minima."""
-_STEP = 1e-4
-"""Step of the numeric derivatives by k1 and k2."""
-_ROUNDS = 30
-"""Steps, and halvings of one step, at most."""
-_SCALE = 3.0
-"""Standard deviations beyond which a curve hardly counts."""
-_FEWEST = 8
-"""Curves that a lens needs, with any stretch of the drive left out, too."""
-_FEWEST_STRETCHES = 4
-"""Stretches that the jackknife needs."""
+_STEP = 1e-4  # Step of the numeric derivatives by k1 and k2
+_ROUNDS = 30  # Steps, and halvings of one step, at most
+_SCALE = 3.0  # Standard deviations beyond which a curve hardly counts
+_FEWEST = 8  # Curves that a lens needs, with any stretch of the drive left out, too
+_FEWEST_STRETCHES = 4  # Stretches that the jackknife needs
+# A lens that moves the corner by less than so many standard deviations may be none
 CERTAIN_SIGMAS = 3.0
-"""A lens that moves the corner by less than so many standard deviations may be none."""
-_GROUPS = 8
-"""Stretches of a drive, each left out once by the jackknife."""
-_TOLERANCE = 1e-6
-"""A step of k1 and k2 below this ends the descent."""
+_GROUPS = 8  # Stretches of a drive, each left out once by the jackknife
+_TOLERANCE = 1e-6  # A step of k1 and k2 below this ends the descent
 
 
 @dataclass(frozen=True)
@@ -58,33 +49,6 @@ class LensEstimate:
     sigma_px: float
     curves: int
     bow_px: float
-
-
-def doubt(estimate: LensEstimate) -> str:
-    """Why a lens must not be used, or "" if it may be."""
-    if not np.isfinite(estimate.sigma_px):
-        return "too few upright outlines, or in too few stretches of the drive"
-    if abs(estimate.corner_px) <= CERTAIN_SIGMAS * estimate.sigma_px:
-        return "within three standard deviations of none"
-    return ""
-
-
-def bow(curve: ArrayLike) -> float:
-    """Bow of a curve (n, 2): how far its middle lies to the right of its ends' chord, in pixels.
-
-    By least squares over all points, so that every one of them counts.
-    """
-    points = np.asarray(curve, np.float64)
-    along = points[-1] - points[0]
-    length = float(np.hypot(*along))
-    if len(points) < 3 or length == 0.0:
-        return 0.0
-    along = along / length
-    offset = points - points[0]
-    t = 2.0 * (offset @ along) / length - 1.0
-    across = offset @ np.array([-along[1], along[0]])
-    base = np.column_stack([np.ones_like(t), t, t * t])
-    return float(np.linalg.lstsq(base, across, rcond=None)[0][2])
 
 
 def fit_lens(
@@ -137,12 +101,6 @@ def _solve(curves: Sequence[Floats], size: tuple[int, int]) -> tuple[Floats, flo
     return k, spread, normal
 
 
-def _sigmas(curves: Sequence[Floats]) -> Floats:
-    """What the outline of a straight thing may bow (n,), pixels."""
-    length = np.array([np.hypot(*(curve[-1] - curve[0])) for curve in curves])
-    return np.hypot(_TRACED_PX, _CROOKED * length)
-
-
 def _jackknife_px(curves: Sequence[Floats], groups: Ints, size: tuple[int, int]) -> float:
     """Standard deviation of the corner's displacement over stretches that are left out."""
     stretch = np.unique(groups, return_inverse=True)[1].ravel()
@@ -159,14 +117,15 @@ def _jackknife_px(curves: Sequence[Floats], groups: Ints, size: tuple[int, int])
     return float(np.sqrt((count - 1) * np.var(corners))) if enough else np.inf
 
 
-def _lens(k: Floats, size: tuple[int, int]) -> RadialLens:
-    return RadialLens.centred(float(k[0]), float(k[1]), *size)
-
-
-def _bows(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Floats:
-    lens = _lens(k, size)
-    ends = np.cumsum([len(curve) for curve in curves])[:-1]
-    return np.array([bow(part) for part in np.split(lens.undistort(np.concatenate(curves)), ends)])
+def _within(k: Floats, step: Floats, size: tuple[int, int]) -> Floats:
+    """As much of a step, halved, as leaves a lens that shows the whole image with some to spare."""
+    for _ in range(_ROUNDS):
+        trial = k + step
+        # In half diagonals: the corners lie at 1.
+        if _lens(trial, size).turning_radius > 1.5:
+            return trial
+        step = 0.5 * step
+    return k
 
 
 def _slopes(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Floats:
@@ -177,16 +136,48 @@ def _slopes(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Float
     return np.column_stack(columns)
 
 
+def _bows(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Floats:
+    lens = _lens(k, size)
+    ends = np.cumsum([len(curve) for curve in curves])[:-1]
+    return np.array([bow(part) for part in np.split(lens.undistort(np.concatenate(curves)), ends)])
+
+
 def _corner(k: Floats, size: tuple[int, int]) -> float:
     return _lens(k, size).corner_px(*size)
 
 
-def _within(k: Floats, step: Floats, size: tuple[int, int]) -> Floats:
-    """As much of a step, halved, as leaves a lens that shows the whole image with some to spare."""
-    for _ in range(_ROUNDS):
-        trial = k + step
-        # In half diagonals: the corners lie at 1.
-        if _lens(trial, size).turning_radius > 1.5:
-            return trial
-        step = 0.5 * step
-    return k
+def _lens(k: Floats, size: tuple[int, int]) -> RadialLens:
+    return RadialLens.centred(float(k[0]), float(k[1]), *size)
+
+
+def _sigmas(curves: Sequence[Floats]) -> Floats:
+    """What the outline of a straight thing may bow (n,), pixels."""
+    length = np.array([np.hypot(*(curve[-1] - curve[0])) for curve in curves])
+    return np.hypot(_TRACED_PX, _CROOKED * length)
+
+
+def bow(curve: ArrayLike) -> float:
+    """Bow of a curve (n, 2): how far its middle lies to the right of its ends' chord, in pixels.
+
+    By least squares over all points, so that every one of them counts.
+    """
+    points = np.asarray(curve, np.float64)
+    along = points[-1] - points[0]
+    length = float(np.hypot(*along))
+    if len(points) < 3 or length == 0.0:
+        return 0.0
+    along = along / length
+    offset = points - points[0]
+    t = 2.0 * (offset @ along) / length - 1.0
+    across = offset @ np.array([-along[1], along[0]])
+    base = np.column_stack([np.ones_like(t), t, t * t])
+    return float(np.linalg.lstsq(base, across, rcond=None)[0][2])
+
+
+def doubt(estimate: LensEstimate) -> str:
+    """Why a lens must not be used, or "" if it may be."""
+    if not np.isfinite(estimate.sigma_px):
+        return "too few upright outlines, or in too few stretches of the drive"
+    if abs(estimate.corner_px) <= CERTAIN_SIGMAS * estimate.sigma_px:
+        return "within three standard deviations of none"
+    return ""

@@ -19,9 +19,7 @@ from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.kinds import KINDS, PixelClass
 from roadsight.poles.images.lanes import scale_of
 
-PUBLISHED_HEIGHT_PX = 1200
-"""Height of the study's images, for which its thresholds in pixels hold."""
-
+# Classes that hide a foot where they lie below it; plants may be grass, and are told apart
 _HIDERS = (
     PixelClass.VEHICLE,
     PixelClass.TREE,
@@ -29,17 +27,13 @@ _HIDERS = (
     PixelClass.SIGN,
     PixelClass.BUILDING,
 )
-"""Classes that hide a foot where they lie below it; plants may be grass, and are told apart."""
-
-_LINE_ROUNDS = 10
-"""Rounds of reweighting for least absolute errors."""
-
+_LINE_ROUNDS = 10  # Rounds of reweighting for least absolute errors
+# Pieces of one axis are joined over gaps up to this share of the longer one's height
 _JOIN_SHARE = 0.5
-"""Pieces of one axis are joined over gaps up to this share of the longer one's height."""
-
+# Height of the strip below a foot that tells what hides it; px of an image 1200 px high
 _FOOT_PX = 12.0
-"""Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
-
+# Classes for which the shipped network takes white panels. It takes green ones for road, which
+# also ends behind posts: with it, strays outweigh what is gained.
 _BOARDS = (
     PixelClass.OTHER,
     PixelClass.VEHICLE,
@@ -47,26 +41,16 @@ _BOARDS = (
     PixelClass.GUARDRAIL,
     PixelClass.SIGN,
 )
-"""Classes for which the shipped network takes white panels. It takes green ones for road, which
-also ends behind posts: with it, strays outweigh what is gained."""
-
-_COMPACT = 0.45
-"""Share of its box that a board fills; half of it is what a diamond does."""
-
-_ON_A_POST = 0.8
-"""Share of the rows below a board, as many as it has, in which its post is seen."""
-
-_POST_SHARE = 0.35
-"""Share of what is below a board that its post takes at most."""
-
+_COMPACT = 0.45  # Share of its box that a board fills; half of it is what a diamond does
+_ON_A_POST = 0.8  # Share of the rows below a board, as many as it has, in which its post is seen
+_POST_SHARE = 0.35  # Share of what is below a board that its post takes at most
+# Heights of a board by which its post may go on above it: utility poles go on above what hangs on
+# them, such as transformers. One that is not seen in most of the rows just above the board, half
+# as many as it has, begins higher up: a pole behind it.
 _POST_ABOVE = 1.0
-"""Heights of a board by which its post may go on above it: utility poles go on above what hangs on
-them, such as transformers. One that is not seen in most of the rows just above the board, half as
-many as it has, begins higher up: a pole behind it."""
-
+# Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
+# in a view of 20 degrees
 _POST_PX = 40.0
-"""Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
-in a view of 20 degrees."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +95,7 @@ def find_instances(
     All are given that are large enough to measure; ``reason`` says which of them are no poles.
     """
     settings = settings or PoleMasks()
-    scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
+    scale = scale_of(mask.shape[0])
     shape = KINDS[kind].shape
     own: NDArray = np.isin(mask, [int(c) for c in KINDS[kind].classes]).view(np.uint8)
     if shape == "stem":
@@ -123,9 +107,8 @@ def find_instances(
     least_px = KINDS[kind].height_px or settings.min_height_px
     pieces = _pieces(own, max(least_px * scale / 4, 3.0))
     if shape == "stem":
-        pieces = _joined(pieces, settings)
-    measured = _panel if shape == "panel" else _measured
-    found = [measured(piece, mask, kind, settings, scale) for piece in pieces]
+        pieces = _joined(pieces)
+    found = [_measured(piece, mask, kind, settings, scale) for piece in pieces]
     return sorted(found, key=lambda one: (one.u_foot, one.v_foot))
 
 
@@ -179,15 +162,21 @@ class _Piece:
 
     @cached_property
     def axis(self) -> tuple[float, float]:
-        return _axis(self)
+        """Column at row 0 and slope du / dv, by least absolute errors; arms count less."""
+        middle = np.median(self.width)
+        base = 1.0 / np.maximum(self.width / middle, 1.0) ** 2
+        v0 = self.v.mean()
+        basis = np.column_stack([np.ones(len(self.v)), self.v - v0])
+        weights, solution = base, np.array([np.median(self.u), 0.0])
+        for _ in range(_LINE_ROUNDS if len(self.v) > 2 else 0):
+            root = np.sqrt(weights)
+            solution = np.linalg.lstsq(basis * root[:, None], self.u * root, rcond=None)[0]
+            weights = base / np.maximum(np.abs(self.u - basis @ solution), 0.25)
+        return float(solution[0] - solution[1] * v0), float(solution[1])
 
     @cached_property
     def middle_width(self) -> float:
         return float(np.median(self.width))
-
-    @property
-    def pixels(self) -> int:
-        return int(self.width.sum())
 
     @property
     def height(self) -> float:
@@ -219,28 +208,14 @@ def _pieces(own: Bytes, least_height_px: float) -> list[_Piece]:
     return pieces
 
 
-def _axis(piece: _Piece) -> tuple[float, float]:
-    """Column at row 0 and slope du / dv, by least absolute errors; wide rows (arms) count less."""
-    middle = np.median(piece.width)
-    base = 1.0 / np.maximum(piece.width / middle, 1.0) ** 2
-    v0 = piece.v.mean()
-    basis = np.column_stack([np.ones(len(piece.v)), piece.v - v0])
-    weights, solution = base, np.array([np.median(piece.u), 0.0])
-    for _ in range(_LINE_ROUNDS if len(piece.v) > 2 else 0):
-        root = np.sqrt(weights)
-        solution = np.linalg.lstsq(basis * root[:, None], piece.u * root, rcond=None)[0]
-        weights = base / np.maximum(np.abs(piece.u - basis @ solution), 0.25)
-    return float(solution[0] - solution[1] * v0), float(solution[1])
-
-
-def _joined(pieces: list[_Piece], settings: PoleMasks) -> list[_Piece]:
+def _joined(pieces: list[_Piece]) -> list[_Piece]:
     """Pieces of one axis as one: a sign, a wire or a leaf cuts a pole in two."""
     joined = sorted(pieces, key=lambda piece: (piece.v[0], piece.u_min))
     merged = True
     while merged:
         merged = False
         for i, upper in enumerate(joined):
-            j = _continuation(upper, joined, settings)
+            j = _continuation(upper, joined)
             if j is not None:
                 lower = joined[j]
                 joined[i] = _Piece(
@@ -256,7 +231,7 @@ def _joined(pieces: list[_Piece], settings: PoleMasks) -> list[_Piece]:
     return joined
 
 
-def _continuation(upper: _Piece, pieces: list[_Piece], settings: PoleMasks) -> int | None:
+def _continuation(upper: _Piece, pieces: list[_Piece]) -> int | None:
     """Position of the nearest piece below that lies on the axis of ``upper``."""
     best, best_gap = None, np.inf
     for j, lower in enumerate(pieces):
@@ -277,72 +252,57 @@ def _continuation(upper: _Piece, pieces: list[_Piece], settings: PoleMasks) -> i
 
 
 def _measured(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale: float) -> Instance:
-    (u0, slope), width = piece.axis, piece.middle_width
-    v_foot = _lowest_row(piece, u0, slope, width) + 0.5
-    u_foot = u0 + slope * v_foot
-    cut = _cut(piece, mask.shape)
-    foot = "hidden"
-    if "bottom" not in cut:
-        foot = _below_foot(mask, u_foot, v_foot, width, max(round(_FOOT_PX * scale), 2))
-    reason = _too_small(piece, kind, settings, scale)
-    if not reason and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
-        reason = "not slender"
+    """A pole with its foot, or a panel, which stands above the ground: with its pixels' middle."""
+    width = piece.middle_width
+    cut = cut_sides(piece.u_min, piece.u_max, piece.v[0], piece.v[-1], mask.shape)
+    least_px = (KINDS[kind].height_px or settings.min_height_px) * scale
+    small = width < settings.min_width_px * scale or piece.height < least_px
+    reason, foot, slope = "too small" if small else "", "hidden", 0.0
+    if KINDS[kind].shape == "panel":
+        u_foot, v_foot = (float(np.average(at, weights=piece.width)) for at in (piece.u, piece.v))
+        reason = reason or ("cut by the frame" if cut else "")
+    else:
+        u0, slope = piece.axis
+        # Last row that still belongs to the axis, so that a stray blob below is not the foot.
+        on_axis = np.abs(piece.u - u0 - slope * piece.v) <= max(width, 1.5)
+        good = np.flatnonzero(on_axis & (piece.width >= 0.5 * width))
+        v_foot = float(piece.v[good[-1]] if len(good) else piece.v[-1]) + 0.5
+        u_foot = u0 + slope * v_foot
+        if "bottom" not in cut:
+            # What the strip just below says, by the majority of its pixels.
+            half, top = max(width / 2, 1.0), int(np.ceil(v_foot))
+            left, deep_px = max(int(u_foot - half), 0), max(round(_FOOT_PX * scale), 2)
+            below = mask[top : top + deep_px, left : max(int(u_foot + half), left) + 1]
+            if np.count_nonzero(np.isin(below, [int(c) for c in _HIDERS])) < 0.5 * below.size:
+                foot = "plants" if np.mean(below == PixelClass.VEGETATION) >= 0.5 else "visible"
+        if not reason and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
+            reason = "not slender"
     return Instance(
         kind,
         u_foot,
         v_foot,
-        piece.u_min - 0.5,
-        piece.v[0] - 0.5,
-        piece.u_max + 0.5,
-        piece.v[-1] + 0.5,
-        slope,
-        width,
-        piece.pixels,
-        foot,
-        cut,
-        _touches(piece, mask, PixelClass.SIGN),
-        reason,
+        u_min=piece.u_min - 0.5,
+        v_min=piece.v[0] - 0.5,
+        u_max=piece.u_max + 0.5,
+        v_max=piece.v[-1] + 0.5,
+        slope=slope,
+        width_px=width,
+        pixels=int(piece.width.sum()),
+        foot=foot,
+        cut=cut,
+        touches_sign=KINDS[kind].shape == "panel" or _touches_sign(piece, mask),
+        reason=reason,
     )
 
 
-def _panel(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale: float) -> Instance:
-    """A panel, which stands above the ground: its place is the middle of its pixels."""
-    cut = _cut(piece, mask.shape)
-    reason = _too_small(piece, kind, settings, scale) or ("cut by the frame" if cut else "")
-    return Instance(
-        kind,
-        float(np.average(piece.u, weights=piece.width)),
-        float(np.average(piece.v, weights=piece.width)),
-        piece.u_min - 0.5,
-        piece.v[0] - 0.5,
-        piece.u_max + 0.5,
-        piece.v[-1] + 0.5,
-        0.0,
-        piece.middle_width,
-        piece.pixels,
-        "hidden",
-        cut,
-        True,
-        reason,
-    )
-
-
-def _too_small(piece: _Piece, kind: str, settings: PoleMasks, scale: float) -> str:
-    least_px = KINDS[kind].height_px or settings.min_height_px
-    small = piece.middle_width < settings.min_width_px * scale or piece.height < least_px * scale
-    return "too small" if small else ""
-
-
-def _lowest_row(piece: _Piece, u0: float, slope: float, width: float) -> float:
-    """Last row that still belongs to the axis, so that a stray blob below is not the foot."""
-    on_axis = np.abs(piece.u - u0 - slope * piece.v) <= max(width, 1.5)
-    solid = piece.width >= 0.5 * width
-    good = np.flatnonzero(on_axis & solid)
-    return float(piece.v[good[-1]] if len(good) else piece.v[-1])
-
-
-def _cut(piece: _Piece, shape: tuple[int, ...]) -> frozenset[str]:
-    return cut_sides(piece.u_min, piece.u_max, piece.v[0], piece.v[-1], shape)
+def _touches_sign(piece: _Piece, mask: Bytes) -> bool:
+    """Whether a few rows have pixels of a sign on the axis or directly beside the piece."""
+    rows = np.arange(max(int(piece.v[0]) - 2, 0), int(piece.v[-1]) + 1)
+    u0, slope = piece.axis
+    centre = np.round(u0 + slope * rows).astype(int)
+    half = int(np.ceil(piece.middle_width / 2)) + 1
+    columns = np.clip(centre[:, None] + [-half, 0, half], 0, mask.shape[1] - 1)
+    return bool(np.count_nonzero((mask[rows[:, None], columns] == PixelClass.SIGN).any(axis=1)) > 2)
 
 
 def cut_sides(
@@ -358,41 +318,15 @@ def cut_sides(
     return frozenset(name for name, touches in sides.items() if touches)
 
 
-def _below_foot(mask: Bytes, u: float, v: float, width: float, deep_px: int) -> str:
-    """What the strip just below a foot says about it, by the majority of its pixels."""
-    half = max(width / 2, 1.0)
-    top = int(np.ceil(v))
-    left = max(int(u - half), 0)
-    below = mask[top : top + deep_px, left : max(int(u + half), left) + 1]
-    if np.count_nonzero(np.isin(below, [int(c) for c in _HIDERS])) >= 0.5 * below.size:
-        return "hidden"
-    return "plants" if np.mean(below == PixelClass.VEGETATION) >= 0.5 else "visible"
-
-
-def _touches(piece: _Piece, mask: Bytes, other: PixelClass) -> bool:
-    """Whether a few rows have pixels of another class on the axis or directly beside the piece."""
-    rows = np.arange(max(int(piece.v[0]) - 2, 0), int(piece.v[-1]) + 1)
-    u0, slope = piece.axis
-    centre = np.round(u0 + slope * rows).astype(int)
-    half = int(np.ceil(piece.middle_width / 2)) + 1
-    columns = np.clip(centre[:, None] + [-half, 0, half], 0, mask.shape[1] - 1)
-    return bool(np.count_nonzero((mask[rows[:, None], columns] == other).any(axis=1)) > 2)
-
-
 # Poles in a mask by the pole study's rules (section 3.1; numbers of the authors' code).
-#
 # Numbers in pixels are of an image 1200 px high and are scaled with the height. The authors'
 # labels are stored in 8 bits, so that the 257th component is the first again; here they are not.
 
-_WIDER_PX, _TALLER_PX = 10.0, 20.0
-"""A pole's box is wider and taller than this."""
-
+_WIDER_PX, _TALLER_PX = 10.0, 20.0  # A pole's box is wider and taller than this
+# Height over width from which a component is a pole as it is; below it, what is as long for its
+# width across its own axes is one after its wires are removed
 _ASPECT = 10.0
-"""Height over width from which a component is a pole as it is; below it, what is as long for its
-width across its own axes is one after its wires are removed."""
-
-_KERNEL_PX = 10
-"""Side of the square by which wires are removed."""
+_KERNEL_PX = 10  # Side of the square by which wires are removed
 
 
 def published_instances(mask: Bytes) -> list[Instance]:

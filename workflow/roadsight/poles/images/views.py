@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import SideViews
 from roadsight.base.shards import Shard
@@ -20,12 +20,10 @@ from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.geometry.lens import RadialLens
 
 ViewName = Literal["front", "left", "right"]
-
+# Views in the order in which they are looked at
 VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
-"""Views in the order in which they are looked at."""
-
+# Column of the frames that names each view's image
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
-"""Column of the frames that names each view's image."""
 
 
 @dataclass(frozen=True)
@@ -99,18 +97,14 @@ def straightened(image: NDArray, places: Floats, smooth: bool = False) -> NDArra
 
 
 # Left, front and right view as one: cameras that turn about one centre (paper 2, section 3.2.3).
-#
 # The paper lays the views side by side and uses the front view's parameters for all (`beside`).
 # Else each view is measured with a camera of its own, turned from the front camera by a known
 # yaw: nothing is resampled; objects that cross a seam, or that two views show, become one
 # sighting.
 
-_SIGMAS = 3.0
-"""Standard deviations within which bearings and distances of one object agree."""
-
+_SIGMAS = 3.0  # Standard deviations within which bearings and distances of one object agree
+# Bearings of what the frame cuts in both views may differ by this: either view shows a part only
 _SEAM_DEG = 0.5
-"""Bearings of what the frame cuts in both views may differ by this: either view shows a part
-only."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +196,15 @@ def _merge_group(merged: pd.DataFrame, group: pd.DataFrame) -> None:
         if i in used or j in used:
             continue
         used |= {i, j}
-        _join(merged, i, j)
+        cut = merged["cut_side"]
+        stays, goes = (j, i) if cut[i] and not cut[j] else (i, j)
+        if cut[i] and cut[j]:
+            width = merged.loc[[i, j], "width_deg"].to_numpy(np.float64)
+            base, other = merged.loc[[i, j], "bearing_grid_deg"].to_numpy(np.float64)
+            turn = float(wrap_deg(other - base))
+            merged.at[stays, "bearing_grid_deg"] = (base + turn * width[1] / width.sum()) % 360.0
+        merged.at[goes, "kept"] = False
+        merged.at[goes, "reason"] = f"same as in the {merged['view'][stays]!s} view"
 
 
 def _apart_deg(front: pd.Series, side: pd.Series) -> float | None:
@@ -218,62 +220,3 @@ def _apart_deg(front: pd.Series, side: pd.Series) -> float | None:
         depth_sigma = np.hypot(depth_sigma, side.get("sigma_place_m", 0.0))
     depths_differ = abs(front["depth_m"] - side["depth_m"]) > max(_SIGMAS * depth_sigma, 1.0)
     return None if apart > reach or depths_differ else apart
-
-
-def _join(merged: pd.DataFrame, front: int, side: int) -> None:
-    cut = merged["cut_side"]
-    stays, goes = (side, front) if cut[front] and not cut[side] else (front, side)
-    if cut[front] and cut[side]:
-        width = merged.loc[[front, side], "width_deg"].to_numpy(np.float64)
-        base, other = merged.loc[[front, side], "bearing_grid_deg"].to_numpy(np.float64)
-        turn = float(wrap_deg(other - base))
-        merged.at[stays, "bearing_grid_deg"] = (base + turn * width[1] / width.sum()) % 360.0
-    merged.at[goes, "kept"] = False
-    merged.at[goes, "reason"] = f"same as in the {merged['view'][stays]!s} view"
-
-
-def stitched_picture(
-    images: dict[str, Bytes], front: Intrinsics, offsets: ViewOffsets, width_px: int = 1600
-) -> Bytes:
-    """Views of one place on one cylinder about the camera, for people to look at.
-
-    Parameters
-    ----------
-    images : BGR image of each view that there is; the front must be there. front : its camera.
-    width_px : width of the picture; the height follows.
-
-    Returns
-    -------
-    BGR (rows, width_px, 3); black where no view looks; the front view lies on top
-    """
-    cameras = {
-        view: side_intrinsics(front, image.shape[1], image.shape[0])
-        for view, image in images.items()
-    }
-    reach = [
-        offsets.of(view) + side * cameras[view].hfov_deg / 2 for view in images for side in (-1, 1)
-    ]
-    low, high = np.radians(min(reach)), np.radians(max(reach))
-    azimuth = np.linspace(low, high, width_px)
-    per_px = (high - low) / (width_px - 1)
-    up = (front.cy_px + 0.5) / front.focal_px
-    down = (front.height_px - 0.5 - front.cy_px) / front.focal_px
-    slope = np.arange(-up, down, per_px)
-    picture = np.zeros((len(slope), width_px, 3), np.uint8)
-    for view in sorted(images, key=lambda name: name == "front"):
-        camera, turn = cameras[view], azimuth - np.radians(offsets.of(view))
-        ahead = np.cos(turn) > 0.05
-        tangent = np.tan(np.where(ahead, turn, 0.0))
-        u = np.where(ahead, camera.cx_px + camera.focal_px * tangent, -1e6)
-        v = camera.cy_px + camera.focal_px * slope[:, None] * np.hypot(1.0, tangent)
-        map_u = np.broadcast_to(u, v.shape).astype(np.float32)
-        seen = camera.contains(np.column_stack([map_u.ravel(), v.ravel()]), 1.0).reshape(v.shape)
-        drawn = cv2.remap(
-            images[view],
-            map_u,
-            v.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        picture[seen] = drawn[seen]
-    return picture

@@ -25,7 +25,8 @@ from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
-from roadsight.poles.calibration.calibration_table import Key, from_content
+from roadsight.poles.calibration.calibration_table import from_content
+from roadsight.poles.drive.drive_lenses import Key
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.lanes import centre_lines
 from roadsight.poles.images.views import (
