@@ -17,22 +17,20 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.validation import THRESHOLDS_M, describe
 
+# Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks.
 POLE, NONE, MISSED = "pole", "none", "missed"
-"""Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks."""
-FEWEST = 20
-"""Checked places that the national standard for spatial data accuracy asks for."""
+FEWEST = 20  # checked places that the national standard for spatial data accuracy asks for
+# Values of a column at most that are strata of their own; numbers with more are cut in thirds.
 LARGEST_STRATA = 10
-"""Values of a column at most that are strata of their own; numbers with more are cut in thirds."""
 _UNKNOWN = "unknown"
 _THIRDS = ("lowest third", "middle third", "highest third")
-_Z95 = 1.959963984540054
-"""Of a normal distribution, 95 % lie within so many standard deviations."""
+_Z95 = 1.959963984540054  # of a normal distribution, 95 % lie within so many standard deviations
+# Radius that holds 95 % of a normal error, over its root mean square distance where both axes are
+# alike, over that of an axis where they are not, and the least ratio of axes for which it holds
+# (FGDC-STD-007.3, appendix 3-A).
 _ROUND, _OVAL, _LEAST_RATIO = 1.7308, 2.4477, 0.6
-"""Radius that holds 95 % of a normal error, over its root mean square distance where both axes
-are alike, over that of an axis where they are not, and the least ratio of axes for which it holds
-(FGDC-STD-007.3, appendix 3-A)."""
+# Places along an axis at which a distribution is summed, and how far out.
 _NODES, _FAR_SIGMAS = 4001, 6.0
-"""Places along an axis at which a distribution is summed, and how far out."""
 
 
 def strata(values: pd.Series) -> pd.Series:

@@ -23,34 +23,25 @@ from roadsight.poles.risk.profiles import (
 )
 
 Height = Callable[[Floats, Floats], Floats]
-
+# 1V:10H: the guide counts flatter ground as level for placing barriers and as a drivable shoulder
+# (RDG 5.6.2.1); shoulders are built with 2 to 8 %.
 LEVEL_SLOPE = 0.1
-"""1V:10H: the guide counts flatter ground as level for placing barriers and as a drivable shoulder
-(RDG 5.6.2.1); shoulders are built with 2 to 8 %."""
-SHOULDER_M = 3.7
-"""Wider level ground beside the pavement is no shoulder: AASHTO's widest is 12 ft."""
+SHOULDER_M = 3.7  # wider level ground beside the pavement is no shoulder: AASHTO's widest is 12 ft
+# Level ground between a foreslope and a backslope is a ditch's bottom up to this width.
 BOTTOM_M = 3.6
-"""Level ground between a foreslope and a backslope is a ditch's bottom up to this width."""
-KERB_M = 0.3
-"""Higher steps up are walls: kerbs are 0.1 to 0.2 m high."""
-_FEWEST = 6
-"""Points of a strip, and heights of a profile."""
-_POOLED_M = 9.0
-"""Strips so far beyond the middle one are pooled with it."""
-_MANY = 3
-"""Strips from which on bins are half as wide."""
-_STRIP_M = 3.0
-"""Length of such a strip along the road."""
-_SHIFTS = 3
-"""Steps in which a strip is moved onto the middle one."""
+KERB_M = 0.3  # higher steps up are walls: kerbs are 0.1 to 0.2 m high
+_FEWEST = 6  # points of a strip, and heights of a profile
+_POOLED_M = 9.0  # strips so far beyond the middle one are pooled with it
+_MANY = 3  # strips from which on bins are half as wide
+_STRIP_M = 3.0  # length of such a strip along the road
+_SHIFTS = 3  # steps in which a strip is moved onto the middle one
+# A strip whose section lies farther aside is of another: on a bend of 80 m radius the farthest is
+# 0.35 m aside.
 _MOST_ASIDE_M = 0.5
-"""A strip whose section lies farther aside is of another: on a bend of 80 m radius the farthest is
-0.35 m aside."""
+# Mean square of a strip's misfit in sigmas up to which it has the same section; about 1.3 is due to
+# noise of both.
 _ALIKE = 2.0
-"""Mean square of a strip's misfit in sigmas up to which it has the same section; about 1.3 is due
-to noise of both."""
-_FAR = 5.0
-"""Single misfits count no more sigmas than this."""
+_FAR = 5.0  # single misfits count no more sigmas than this
 KINDS = ("shoulder", "foreslope", "ditch bottom", "backslope", "level", "kerb", "drop-off", "wall")
 
 

@@ -62,10 +62,9 @@ from roadsight.poles.risk.roadside_rating import (
 from roadsight.poles.risk.shielding import Demand, shielding
 
 Height = Callable[[Floats, Floats], Floats]
-
+# The rating in words, as written into results.
 RULE = __doc__.split("\n\n", 1)[1].strip() if __doc__ else ""
-"""The rating in words, as written into results."""
-
+# What every version of the table has.
 HAZARD_COLUMNS = [
     "offset_m",
     "side",
@@ -77,8 +76,8 @@ HAZARD_COLUMNS = [
     "objects_per_km",
     "rating",
 ]
-"""What every version of the table has."""
 _NAN = float("nan")
+# Columns that tell an object's cross-section, and what they hold where there is none.
 _UNKNOWN: dict[str, float | str] = {
     "foreslope_rise_over_run": _NAN,
     "sigma_foreslope": _NAN,
@@ -92,7 +91,7 @@ _UNKNOWN: dict[str, float | str] = {
     "kerb_m": _NAN,
     "drop_off_m": _NAN,
 }
-"""Columns that tell an object's cross-section, and what they hold where there is none."""
+# What is told besides, with units in the names; see docs/poles/hazard.md.
 ROADSIDE_COLUMNS = [
     "rating_greatest",
     "rank",
@@ -127,16 +126,13 @@ ROADSIDE_COLUMNS = [
     "hsm_mean_offset_m",
     "reasons",
 ]
-"""What is told besides, with units in the names; see docs/poles/hazard.md."""
+# Stretch of road for the density of the Highway Safety Manual: its shortest segment is 0.1 mile;
+# 0.2 miles let one object more or less change the density by 5 a mile, not 10.
 _HSM_WINDOW_M = 322.0
-"""Stretch of road for the density of the Highway Safety Manual: its shortest segment is 0.1 mile;
-0.2 miles let one object more or less change the density by 5 a mile, not 10."""
 
 
-_EDGE_REACH_M = 30.0
-"""A road edge further away is not the pole's."""
-_SAMPLE_M = 0.5
-"""Spacing of height samples between edge and pole."""
+_EDGE_REACH_M = 30.0  # a road edge further away is not the pole's
+_SAMPLE_M = 0.5  # spacing of height samples between edge and pole
 
 
 @dataclass(frozen=True)

@@ -16,43 +16,40 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
+# Lines are looked for over so much road either way: two and a half periods of a dashed line, which
+# is seen in a quarter of them wherever the window lies.
 WINDOW_M = 15.0
-"""Lines are looked for over so much road either way: two and a half periods of a dashed line, which
-is seen in a quarter of them wherever the window lies."""
-_PIECE_M = 1.0
-"""A piece of road along a line, in which it is seen or not."""
+_PIECE_M = 1.0  # a piece of road along a line, in which it is seen or not
+# Points of a line lie so near to its middle: double lines are 0.2 m apart, places of an image 0.1 m
+# off.
 _HALF_M = 0.3
-"""Points of a line lie so near to its middle: double lines are 0.2 m apart, places of an image 0.1
-m off."""
+# Widths of lanes. What is nearer to a line than the narrowest is an arrow, hatching or a stray.
 _NARROWEST_M, _WIDEST_M = 2.4, 4.8
-"""Widths of lanes. What is nearer to a line than the narrowest is an arrow, hatching or a stray."""
+# A line is seen in so many of the pieces that images look at: a dashed one in a quarter.
 _LEAST_SEEN = 0.15
-"""A line is seen in so many of the pieces that images look at: a dashed one in a quarter."""
+# An edge line in so many; a dashed one in a third, as its ends are drawn longer by far images.
 _SOLID = 0.6
-"""An edge line in so many; a dashed one in a third, as its ends are drawn longer by far images."""
+# An edge line is no farther from the pavement's edge: shoulders of motorways are 3.0 m wide, and a
+# lane whose edge line is not seen is as wide and has 0.3 m of pavement beyond that line.
 _WIDEST_SHOULDER_M = 3.2
-"""An edge line is no farther from the pavement's edge: shoulders of motorways are 3.0 m wide, and
-a lane whose edge line is not seen is as wide and has 0.3 m of pavement beyond that line."""
+# Two solid lines so far apart have a median between them; double lines are 0.2 to 0.3 m apart.
 _MEDIAN_M = 0.4
-"""Two solid lines so far apart have a median between them; double lines are 0.2 to 0.3 m apart."""
-_FEWEST_PIECES = 10
-"""Pieces that images must look at."""
+_FEWEST_PIECES = 10  # pieces that images must look at
 _FEWEST_IMAGES = 3
+# Of two lines too near to each other that one stays which more pieces of road show, so far either
+# way: hatching begins and ends, and so does the foot of a bridge's parapet, which a network takes
+# for paint.
 _AROUND_M = 60.0
-"""Of two lines too near to each other that one stays which more pieces of road show, so far either
-way: hatching begins and ends, and so does the foot of a bridge's parapet, which a network takes for
-paint."""
-_ALIKE = 0.9
-"""The outer one stays as well if its pieces are at least this share of the other's."""
+_ALIKE = 0.9  # the outer one stays as well if its pieces are at least this share of the other's
+# Images whose camera is off by the same: they follow each other every 8 m, and what ties them is
+# smooth over some.
 _SHARED = 4.0
-"""Images whose camera is off by the same: they follow each other every 8 m, and what ties them is
-smooth over some."""
+# Least standard deviation of a line: what all images share, their lens and the terrain model. With
+# it errors on three generated roads of two lanes are 0.8 sigma (root mean square), with 0.02 up to
+# 1.4 of one edge; on one of four lanes 1.6.
 _FLOOR_M = 0.03
-"""Least standard deviation of a line: what all images share, their lens and the terrain model. With
-it errors on three generated roads of two lanes are 0.8 sigma (root mean square), with 0.02 up to
-1.4 of one edge; on one of four lanes 1.6."""
+# Where lanes are from, as tables say it.
 MARKINGS, INVENTORY, PAVED = "markings", "inventory", "paved width"
-"""Where lanes are from, as tables say it."""
 LANE_COLUMNS = (
     "left_m",
     "right_m",

@@ -16,20 +16,18 @@ from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Road
 from roadsight.poles.risk.roadside import Surroundings
 
-_Stretch = tuple[str, float, float]
-"""Route, and the measures of its ends in metres."""
-
+_Stretch = tuple[str, float, float]  # route, and the measures of its ends in metres
+# Column, and its name in words.
 _QUANTITIES = (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes"))
-"""Column, and its name in words."""
+# What a site may state of all roads.
 _SETTINGS = {"speed": "design speed (hazard.design_speed_kmh)", "traffic": "traffic (hazard.aadt)"}
-"""What a site may state of all roads."""
+# What holds where nobody states it.
 _WHOLE = {
     "speed": f"{SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h",
     "traffic": "any traffic",
 }
-"""What holds where nobody states it."""
+# Where lanes begin or end, markings are judged by so much road, half of it on either side.
 _MIXED_M = 2 * WINDOW_M
-"""Where lanes begin or end, markings are judged by so much road, half of it on either side."""
 
 
 def inventory_doubts(

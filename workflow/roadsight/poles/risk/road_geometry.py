@@ -11,30 +11,26 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.risk.roads import Road
 
 Height = Callable[[Floats, Floats], Floats]
-
-STATION_M = 5.0
-"""Spacing of the rows: a radius or grade changes little over it."""
+STATION_M = 5.0  # spacing of the rows: a radius or grade changes little over it
+# Radii are fitted by quartics over so much road either way: the longest that the noise explains. On
+# 12 generated roads whose edges err as those of the generated scan (3.4 cm, alike over 6 m), 45 m
+# are the best of 35 to 50: 95 % of the stations on arcs of 190 to 380 m are within 4.1 % (35 m:
+# 6.4). On an arc of 30 m, 45 m are 18 % off and 18 m 3 %.
 CURVE_HALVES_M = (45.0, 35.0, 25.0, 18.0)
-"""Radii are fitted by quartics over so much road either way: the longest that the noise explains.
-On 12 generated roads whose edges err as those of the generated scan (3.4 cm, alike over 6 m), 45 m
-are the best of 35 to 50: 95 % of the stations on arcs of 190 to 380 m are within 4.1 % (35 m: 6.4).
-On an arc of 30 m, 45 m are 18 % off and 18 m 3 %."""
+# Noise explains a misfit up to so many times that of the centreline: with 1.0 a fifth of the gentle
+# bends lose their long fit to chance (95 % within 5.4 %), with 2 arcs of 60 m are 10 % off, not 6.
 _EXPLAINED = 1.5
-"""Noise explains a misfit up to so many times that of the centreline: with 1.0 a fifth of the
-gentle bends lose their long fit to chance (95 % within 5.4 %), with 2 arcs of 60 m are 10 % off,
-not 6."""
+# Grades are fitted by cubics over so much road either way; parabolas lose 0.1 % where the grade
+# changes as on the generated roads.
 GRADE_HALF_M = 25.0
-"""Grades are fitted by cubics over so much road either way; parabolas lose 0.1 % where the grade
-changes as on the generated roads."""
+# Heights of a grade are means over so much of the road: five have less noise than one.
 _ABREAST_M = (-1.2, -0.6, 0.0, 0.6, 1.2)
-"""Heights of a grade are means over so much of the road: five have less noise than one."""
-WIDTH_HALF_M = 5.0
-"""Widths are medians over so much road either way."""
+WIDTH_HALF_M = 5.0  # widths are medians over so much road either way
+# Greater radii are told from straight by nobody: the offset over 60 m is below 0.1 m.
 STRAIGHT_M = 5000.0
-"""Greater radii are told from straight by nobody: the offset over 60 m is below 0.1 m."""
+# So many neighbours share their error: strips of edge points overlap by half (`roads._between`),
+# terrain cells of 0.5 m reach over two heights.
 _CORRELATION = 2.0
-"""So many neighbours share their error: strips of edge points overlap by half (`roads._between`),
-terrain cells of 0.5 m reach over two heights."""
 COLUMNS = (
     "road",
     "station_m",

@@ -18,44 +18,30 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
+# Spacing of centrelines: a tenth of what a line 0.2 m off would turn in a bend of 190 m.
 STEP_M = 1.0
-"""Spacing of centrelines: a tenth of what a line 0.2 m off would turn in a bend of 190 m."""
-
+# Drives this near each other are on one road; carriageways with a wider median are two roads.
 BESIDE_M = 12.0
-"""Drives this near each other are on one road; carriageways with a wider median are two roads."""
-
-_BESIDE_DEG = 25.0
-"""Drives of one road differ by no more in direction, either way round."""
-
+_BESIDE_DEG = 25.0  # drives of one road differ by no more in direction, either way round
+# So much of the shorter drive must run beside the longer one; crossings are less.
 _BESIDE_SHARE = 0.5
-"""So much of the shorter drive must run beside the longer one; crossings are less."""
-
-_REACH_M = 20.0
-"""Edges further from the track are of another road."""
-
+_REACH_M = 20.0  # edges further from the track are of another road
+# A track may lie so far off the road it was driven on: twice the slow error of good GPS and more
+# (0.7 m, generated drives).
 _OFF_TRACK_M = 2.5
-"""A track may lie so far off the road it was driven on: twice the slow error of good GPS and more
-(0.7 m, generated drives)."""
-
-_NARROWEST_M = 3.0
-"""Narrower strips between edges are no road."""
-
+_NARROWEST_M = 3.0  # narrower strips between edges are no road
+# Window over which centrelines are smoothed by cubics: bends of 190 m stay within 2 mm.
 _SMOOTH_M = 31.0
-"""Window over which centrelines are smoothed by cubics: bends of 190 m stay within 2 mm."""
-
+# Points of one edge lie within this across the road: smoothed contours of 0.3 m cells do.
 _EDGE_M = 0.6
-"""Points of one edge lie within this across the road: smoothed contours of 0.3 m cells do."""
-
+# Sections of other width than their neighbours by more are mouths of side roads, unless the
+# neighbours scatter more (four deviations).
 _WIDTH_OFF_M = 0.3
-"""Sections of other width than their neighbours by more are mouths of side roads, unless the
-neighbours scatter more (four deviations)."""
-
+# Edges are carried over gaps up to this: mouths of side roads are shorter (12 and 13 m, generated
+# rural road), with turning lanes too; over longer gaps a road may get wider or narrower.
 _GAP_M = 100.0
-"""Edges are carried over gaps up to this: mouths of side roads are shorter (12 and 13 m, generated
-rural road), with turning lanes too; over longer gaps a road may get wider or narrower."""
-
+# Centrelines go on straight so far beyond their ends, for objects ahead of the last image.
 _BEYOND_M = 60.0
-"""Centrelines go on straight so far beyond their ends, for objects ahead of the last image."""
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,16 @@ from roadsight.poles.risk.road_geometry import road_geometry
 from roadsight.poles.risk.roads import Located, Roads
 from roadsight.poles.risk.shielding import Barrier
 
+# Cross-sections reach so far from the edge, or 3 m beyond their object: the guide's clear zone is
+# 11 m wide at 100 km/h on flat ground.
 REACH_M = 12.0
-"""Cross-sections reach so far from the edge, or 3 m beyond their object: the guide's clear zone is
-11 m wide at 100 km/h on flat ground."""
-_LONGEST_M = 25.0
-"""They never reach further."""
+_LONGEST_M = 25.0  # they never reach further
+# A profile goes on behind its object, so that what a vehicle meets beyond it is told.
 _BEYOND_M = 3.0
-"""A profile goes on behind its object, so that what a vehicle meets beyond it is told."""
+# Markings further beyond the pavement's edge are of another road, or no markings.
 _BESIDE_EDGE_M = 0.5
-"""Markings further beyond the pavement's edge are of another road, or no markings."""
-_DEM_STEP_M = 0.25
-"""Spacing of heights from a terrain model: half its usual cell."""
+_DEM_STEP_M = 0.25  # spacing of heights from a terrain model: half its usual cell
+# Of the table of cross-sections, one element a row.
 SECTION_COLUMNS = (
     "section",
     "object",
@@ -58,7 +57,7 @@ SECTION_COLUMNS = (
     "end_x",
     "end_y",
 )
-"""Of the table of cross-sections, one element a row."""
+# Columns of `with_inventory`, and their names in the table of road geometry.
 LANE_TITLES = {
     "lanes": "lanes",
     "lane_width_m": "lane_width_m",
@@ -70,9 +69,8 @@ LANE_TITLES = {
     "sigma_right_m": "sigma_travelled_right_m",
     "travelled_from": "travelled_from",
 }
-"""Columns of `with_inventory`, and their names in the table of road geometry."""
+# Of the table of road geometry, what inventory or site state.
 TRAFFIC_COLUMNS = ("speed_least_kmh", "speed_greatest_kmh", "aadt_least", "aadt_greatest")
-"""Of the table of road geometry, what inventory or site state."""
 
 
 @dataclass

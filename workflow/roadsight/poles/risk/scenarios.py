@@ -110,44 +110,24 @@ def _crossings(
 # The road itself is a corridor as wide as its edges are apart for the most part. What is paved
 # beyond it and touches it branches off.
 
-CELL_M = 1.0
-"""Cells in which pavement is joined."""
-
+CELL_M = 1.0  # cells in which pavement is joined
+# Cells this near to each other are of one branch: those that share a side or a corner.
 _JOIN_M = 1.5
-"""Cells this near to each other are of one branch: those that share a side or a corner."""
-
-_DRIVEN_M = 15.0
-"""Edges this near to a track are of its road: it has up to four lanes."""
-
-_STATION_M = 5.0
-"""Length of road for which the distance of its edge is told."""
-
+_DRIVEN_M = 15.0  # edges this near to a track are of its road: it has up to four lanes
+_STATION_M = 5.0  # length of road for which the distance of its edge is told
+# The usual distance is the median over so many of them: mouths up to 100 m wide do not move it.
 _USUAL_BINS = 41
-"""The usual distance is the median over so many of them: mouths up to 100 m wide do not move it."""
-
-_BESIDE_M = 1.5
-"""Pavement up to this beyond the usual edge is the road: shoulders and noise."""
-
+_BESIDE_M = 1.5  # pavement up to this beyond the usual edge is the road: shoulders and noise
+# Smaller pieces are none: bays for a mailbox, and wrong classes beside the edge.
 _SMALLEST_M2 = 12.0
-"""Smaller pieces are none: bays for a mailbox, and wrong classes beside the edge."""
-
-_LEAST_REACH_M = 4.0
-"""What reaches less far beyond the edge is a lay-by or a wider shoulder."""
-
+_LEAST_REACH_M = 4.0  # what reaches less far beyond the edge is a lay-by or a wider shoulder
+# Sine of the angle by which a place may lie ahead of the foot on its track: bends have corners.
 _ABREAST = 0.5
-"""Sine of the angle by which a place may lie ahead of the foot on its track: bends have corners."""
-
-_REACH_M = 40.0
-"""So far from the road pavement is looked at."""
-
-_MOUTH_M = 10.0
-"""A branch narrows over this much from its mouth on; its width is measured beyond."""
-
-_ROAD_REACH_M = 20.0
-"""A side road goes on farther than this from the edge."""
-
+_REACH_M = 40.0  # so far from the road pavement is looked at
+_MOUTH_M = 10.0  # a branch narrows over this much from its mouth on; its width is measured beyond
+_ROAD_REACH_M = 20.0  # a side road goes on farther than this from the edge
+# Width of a side road: driveways are narrower (two lanes of 2.3 m are 4.6 m), car parks wider.
 _ROAD_WIDTH_M = (4.5, 20.0)
-"""Width of a side road: driveways are narrower (two lanes of 2.3 m are 4.6 m), car parks wider."""
 
 
 @dataclass(frozen=True)

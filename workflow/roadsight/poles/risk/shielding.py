@@ -28,23 +28,21 @@ from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.roads import Roads, resampled
 
 _HAZARD = Hazard()
+# The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them.
 TERMINAL_M = 3.81
-"""The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them."""
+# A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
+# nearer behind it are hit through it.
 DEFLECTION_M = _HAZARD.deflection_m
-"""A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
-nearer behind it are hit through it."""
-_STEP_M = 1.0
-"""Spacing of places along a barrier."""
-_BESIDE_ROAD_M = 15.0
-"""Barriers further from the road's edge are of another road."""
-_ON_IT_M = 0.1
-"""Objects this near a barrier's line are of it: its own ends and posts."""
+_STEP_M = 1.0  # spacing of places along a barrier
+_BESIDE_ROAD_M = 15.0  # barriers further from the road's edge are of another road
+_ON_IT_M = 0.1  # objects this near a barrier's line are of it: its own ends and posts
+# Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph.
 _RUNOUT_SPEEDS_KMH = (50.0, 64.4, 80.5, 100.0, 112.7, 130.0)
-"""Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph."""
+# Least traffic of each of the table's classes but the first, vehicles a day: "under 1,000", "1,000
+# to 5,000", "5,000 to 10,000", "over 10,000". Of the two classes that name 5,000 the longer one is
+# taken.
 _RUNOUT_AADT = (1000.0, 5000.0, np.nextafter(10_000.0, np.inf))
-"""Least traffic of each of the table's classes but the first, vehicles a day: "under 1,000", "1,000
-to 5,000", "5,000 to 10,000", "over 10,000". Of the two classes that name 5,000 the longer one is
-taken."""
+# Rows by speed, columns by traffic.
 _RUNOUT_M = np.array(
     [
         [21.0, 24.0, 27.0, 34.0],
@@ -55,7 +53,6 @@ _RUNOUT_M = np.array(
         [101.0, 116.0, 131.0, 143.0],
     ]
 )
-"""Rows by speed, columns by traffic."""
 
 
 @dataclass(frozen=True)

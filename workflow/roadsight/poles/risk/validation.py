@@ -18,19 +18,15 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
+# Distances up to which a found pole counts as right, each scored by itself.
 THRESHOLDS_M = tuple(range(1, 17))
-"""Distances up to which a found pole counts as right, each scored by itself."""
-FEWEST_TRUTHS = 5
-"""With fewer known poles the figures come with a warning."""
-OTHERS_M = 3.0
-"""Distance up to which a found sign or tree counts as right."""
-LINES_M = 1.0
-"""The same of a guardrail."""
+FEWEST_TRUTHS = 5  # with fewer known poles the figures come with a warning
+OTHERS_M = 3.0  # distance up to which a found sign or tree counts as right
+LINES_M = 1.0  # the same of a guardrail
+# Trees count this near to the road's edge: clear zones end there, and forests begin.
 NEAR_EDGE_M = 10.0
-"""Trees count this near to the road's edge: clear zones end there, and forests begin."""
-
+# Edge points within this tell the edge's direction: fewer are noise, more follow a bend.
 _EDGE_REACH_M = 5.0
-"""Edge points within this tell the edge's direction: fewer are noise, more follow a bend."""
 _GEOD = Geod(ellps="WGS84")
 
 

@@ -14,17 +14,12 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.poles.images.kinds import ObjectKind
 
-CELL_M = 0.5
-"""Cells in plan in which returns of a class are joined."""
-
+CELL_M = 0.5  # cells in plan in which returns of a class are joined
+# Cells this near to each other are of one object: those that share a side or a corner.
 _JOIN_CELLS = 1.5
-"""Cells this near to each other are of one object: those that share a side or a corner."""
-
-_EVERY_M = 1.0
-"""Spacing of the places on an outline."""
-
+_EVERY_M = 1.0  # spacing of the places on an outline
+# Standard deviation of an outline, each axis: cells of 0.5 m, of whose outermost half is cut.
 SIGMA_M = 0.3
-"""Standard deviation of an outline, each axis: cells of 0.5 m, of whose outermost half is cut."""
 
 
 @dataclass(frozen=True)
@@ -116,40 +111,25 @@ def _outlines(index: Ints) -> list[shapely.Polygon]:
 
 # Roofs in a cloud whose classes tell no buildings: plane, steady and well above the ground.
 
-_UNTOLD = (0, 1)
-"""Classes of returns that may be of anything."""
-
-_LOWEST_M = 2.0
-"""Over the ground: the least height of a building."""
-
+_UNTOLD = (0, 1)  # classes of returns that may be of anything
+_LOWEST_M = 2.0  # over the ground: the least height of a building
+# Edge of the cubes of which one return each is looked at, so that density does not decide.
 _CUBE_M = 0.3
-"""Edge of the cubes of which one return each is looked at, so that density does not decide."""
-
-_ON_PLANE = 10
-"""Returns that a plane is fitted to."""
-
-_REACH_M = 1.6
-"""They are this near: at 2 returns a square metre ten lie within 1.3 m."""
-
+_ON_PLANE = 10  # returns that a plane is fitted to
+_REACH_M = 1.6  # they are this near: at 2 returns a square metre ten lie within 1.3 m
+# Standard deviation from the plane. Share of class 6, hidden, that is found, and of what is found
+# that is right, at Delft (15 returns a square metre) and Montpellier (28): 0.75 and 0.99, 0.92 and
+# 0.93. With 0.09 m, and cubes of 0.4, a crown whose leaves are a shell is a roof.
 _ROUGH_M = 0.06
-"""Standard deviation from the plane. Share of class 6, hidden, that is found, and of what is found
-that is right, at Delft (15 returns a square metre) and Montpellier (28): 0.75 and 0.99, 0.92 and
-0.93. With 0.09 m, and cubes of 0.4, a crown whose leaves are a shell is a roof."""
-
+# Least vertical part of the normal: roofs are up to 60 degrees steep, walls are not roofs.
 _UPRIGHT = 0.5
-"""Least vertical part of the normal: roofs are up to 60 degrees steep, walls are not roofs."""
-
-_PLANE_SHARE = 0.5
-"""Of a cell's raised returns that lie on planes."""
-
+_PLANE_SHARE = 0.5  # of a cell's raised returns that lie on planes
+# Half of the 25 cells about one of a roof are of it too; patches of leaves are smaller.
 _AROUND_CELLS, _LEAST_AROUND = 2, 12
-"""Half of the 25 cells about one of a roof are of it too; patches of leaves are smaller."""
-
+# A cell and the eight about it.
 _BESIDE = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
-"""A cell and the eight about it."""
-
+# Of a building without a class: smaller planes are vehicles, hedges that are cut, crowns.
 ROOF_AREA_M2 = (10.0, float("inf"))
-"""Of a building without a class: smaller planes are vehicles, hedges that are cut, crowns."""
 
 
 def roof_cells(xyz_m: Floats, above_ground_m: Floats, cls: Bytes, own: Bools) -> BlockCells:

@@ -15,23 +15,14 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
-_TUKEY = 4.685
-"""Tuning constant of the bisquare: 95 % efficiency where errors are normal."""
-
-TO_SIGMA = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
-
-_ROUNDS = 30
-"""Rounds of least absolute errors, and as many of the bisquare after them."""
-
+_TUKEY = 4.685  # tuning constant of the bisquare: 95 % efficiency where errors are normal
+TO_SIGMA = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
+_ROUNDS = 30  # rounds of least absolute errors, and as many of the bisquare after them
+# Standard deviations from the pole of the relation within which depth is unknown.
 _GUARD_SIGMAS = 2.0
-"""Standard deviations from the pole of the relation within which depth is unknown."""
-
-_LEAST_POINTS = 8
-"""Points of known depth that two coefficients need."""
-
+_LEAST_POINTS = 8  # points of known depth that two coefficients need
+# Farthest over nearest known depth: with less, scale and shift of the map look alike.
 _LEAST_RATIO = 1.3
-"""Farthest over nearest known depth: with less, scale and shift of the map look alike."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +182,8 @@ def balancing_weights(z_m: ArrayLike, bins: int = 12) -> Floats:
     return 1.0 / np.bincount(number, minlength=bins)[number]
 
 
+# Ground height (n,) at local x, y (n,), NaN where unknown.
 HeightAt = Callable[[Floats, Floats], Floats]
-"""Ground height (n,) at local x, y (n,), NaN where unknown."""
 
 
 def ground_distance_m(
@@ -284,17 +275,12 @@ def _most_apart(depth: Floats, sigma: Floats, used: Ints) -> tuple[int, float]:
 # A network that sees another lens than it learned from errs alike on the whole drive, while its
 # fit to each image's road says that all is well. Feet that stand on the terrain tell by how much.
 
-_FEWEST = 12
-"""Objects with both distances from which a camera's scale is found."""
-
-_SURE = 3.0
-"""Standard errors by which a scale must differ from 1."""
-
+_FEWEST = 12  # objects with both distances from which a camera's scale is found
+_SURE = 3.0  # standard errors by which a scale must differ from 1
+# Ways to a distance, in the order in which `COLUMNS` has them.
 _KINDS = ("network", "ground", "lidar")
-"""Ways to a distance, in the order in which `COLUMNS` has them."""
-
+# Distance and sigma of each way.
 COLUMNS = tuple(f"{part}depth_{kind}_m" for kind in _KINDS for part in ("", "sigma_"))
-"""Distance and sigma of each way."""
 
 
 @dataclass(frozen=True)

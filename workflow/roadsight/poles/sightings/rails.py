@@ -19,52 +19,40 @@ from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN
 
-_ABOVE_M = 1.0
-"""Height over a rail in which a wall, a fence or a vehicle has returns."""
-_DECK = 17
-"""ASPRS class of bridge decks, over which the ground is a valley's."""
-_DECK_M = 1.5
-"""Rails stand no further from the deck of their bridge."""
-_THIN_M = 0.1
-"""Cells in plan that count as one return each, however dense the cloud."""
-REACH_M = 4.0
-"""Stretch of rail to either side of a return that shows its direction."""
+_ABOVE_M = 1.0  # height over a rail in which a wall, a fence or a vehicle has returns
+_DECK = 17  # ASPRS class of bridge decks, over which the ground is a valley's
+_DECK_M = 1.5  # rails stand no further from the deck of their bridge
+_THIN_M = 0.1  # cells in plan that count as one return each, however dense the cloud
+REACH_M = 4.0  # stretch of rail to either side of a return that shows its direction
+# Pieces of it that should each have a return: W-beams have 2.5 returns a metre at 24 pulses/m2.
 _BIN_M = 1.0
-"""Pieces of it that should each have a return: W-beams have 2.5 returns a metre at 24 pulses/m2."""
-_FILLED = 6
-"""Of the eight pieces, so many must, or all four on one side, where the rail ends."""
-_DIRECTIONS = 48
-"""Directions tried over half a turn."""
+_FILLED = 6  # of the eight pieces, so many must, or all four on one side, where the rail ends
+_DIRECTIONS = 48  # directions tried over half a turn
+# Returns of a rail are this near to its line: it is 0.1 m thick and curves, on a radius of 60 m by
+# 0.13 m over the reach.
 _HALF_WIDTH_M = 0.15
-"""Returns of a rail are this near to its line: it is 0.1 m thick and curves, on a radius of 60 m by
-0.13 m over the reach."""
-_BESIDE_M = (0.3, 1.0)
-"""Distances beside the line where a hedge goes on and a rail does not."""
-_MOST_BESIDE = 0.7
-"""Returns there, as a share of those on the line."""
-_MOST_ABOVE = 0.3
-"""Returns above, likewise."""
+_BESIDE_M = (0.3, 1.0)  # distances beside the line where a hedge goes on and a rail does not
+_MOST_BESIDE = 0.7  # returns there, as a share of those on the line
+_MOST_ABOVE = 0.3  # returns above, likewise
+# Cells of a square about the reach: no return has more neighbours.
 _MOST_IN_REACH = int(2 * REACH_M / _THIN_M + 3) ** 2
-"""Cells of a square about the reach: no return has more neighbours."""
+# Cells that a rail and what may be beside it have within 1 m: 20 along it, of them 7 across up to
+# 0.3 m either way, and 0.7 times the 4 on the line beside that. These are 196 of the disc's 314;
+# what fills more, as grass does from 100 returns/m2 on, is an area, and its directions are not
+# tried.
 _MOST_BY_A_RAIL = round(
     2
     * _BESIDE_M[1]
     / _THIN_M
     * (2 * _BESIDE_M[0] / _THIN_M + 1 + _MOST_BESIDE * (2 * _HALF_WIDTH_M / _THIN_M + 1))
 )
-"""Cells that a rail and what may be beside it have within 1 m: 20 along it, of them 7 across up to
-0.3 m either way, and 0.7 times the 4 on the line beside that. These are 196 of the disc's 314; what
-fills more, as grass does from 100 returns/m2 on, is an area, and its directions are not tried."""
+# Returns of one rail follow each other within this: chance leaves gaps, and so do vehicles.
 _LINK_M = 4.0
-"""Returns of one rail follow each other within this: chance leaves gaps, and so do vehicles."""
-_TURN_COS = float(np.cos(np.radians(15.0)))
-"""Their directions differ by no more than 15 degrees."""
-_ASIDE_M = 0.3
-"""A next return is no further beside the direction."""
+_TURN_COS = float(np.cos(np.radians(15.0)))  # their directions differ by no more than 15 degrees
+_ASIDE_M = 0.3  # a next return is no further beside the direction
+# Shorter lines are no rails: a parked car is 5 m long, a usual rail 7.6 m plus its ends.
 _SHORTEST_M = 8.0
-"""Shorter lines are no rails: a parked car is 5 m long, a usual rail 7.6 m plus its ends."""
-_EVERY_M = 1.0
-"""Spacing of the places of a line."""
+_EVERY_M = 1.0  # spacing of the places of a line
 
 
 @dataclass(frozen=True)

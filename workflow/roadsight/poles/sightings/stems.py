@@ -22,54 +22,25 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis
 
-_LAYER_M = 0.3
-"""Height of a slice: lower ones have too few returns, higher ones blur leaning stems."""
-
-_CELL_M = 0.1
-"""Cells of a slice in plan."""
-
+_LAYER_M = 0.3  # height of a slice: lower ones have too few returns, higher ones blur leaning stems
+_CELL_M = 0.1  # cells of a slice in plan
+# Heights above the ground between which stems are looked for: above grass, and not where a scanner
+# on a vehicle, which looks hardly upwards, sees little.
 _HEIGHTS_M = (0.6, 6.0)
-"""Heights above the ground between which stems are looked for: above grass, and not where a scanner
-on a vehicle, which looks hardly upwards, sees little."""
-
-_CORE_CELLS = 2
-"""Radius of the disc that holds a stem."""
-
+_CORE_CELLS = 2  # radius of the disc that holds a stem
+# Distance of the discs around it, and the range in which its disc must be the fullest.
 _WIDE_CELLS = 6
-"""Distance of the discs around it, and the range in which its disc must be the fullest."""
-
-_DIRECTIONS = 8
-"""Discs around it."""
-
-_DENSE = 0.25
-"""A disc around it is dense from this share of its own returns on."""
-
-_MOST_DENSE = 2
-"""Dense discs that a stem may have around it."""
-
-_WALL = 0.7
-"""From this share of its own returns on, a single disc around it makes it a wall's."""
-
-_FEWEST_IN_SLICE = 8
-"""Returns in a slice's disc."""
-
-_SLICES = 4
-"""Slices of a stem."""
-
-_SHIFT_M = 0.15
-"""How far aside the disc of the next slice, and any disc from their middle, may be."""
-
-_BENT_M = 0.06
-"""Root mean square by which discs may be off a straight axis."""
-
-_STEEPEST = 0.15
-"""Lean of a stem at most, metres aside per metre up."""
-
-_NEAR_M = 0.6
-"""Returns within this of the middle give the axis."""
-
-_SAME_M = 0.8
-"""A stem this near to a column is the same."""
+_DIRECTIONS = 8  # discs around it
+_DENSE = 0.25  # a disc around it is dense from this share of its own returns on
+_MOST_DENSE = 2  # dense discs that a stem may have around it
+_WALL = 0.7  # from this share of its own returns on, a single disc around it makes it a wall's
+_FEWEST_IN_SLICE = 8  # returns in a slice's disc
+_SLICES = 4  # slices of a stem
+_SHIFT_M = 0.15  # how far aside the disc of the next slice, and any disc from their middle, may be
+_BENT_M = 0.06  # root mean square by which discs may be off a straight axis
+_STEEPEST = 0.15  # lean of a stem at most, metres aside per metre up
+_NEAR_M = 0.6  # returns within this of the middle give the axis
+_SAME_M = 0.8  # a stem this near to a column is the same
 
 
 @dataclass(frozen=True)
@@ -241,74 +212,38 @@ def with_stems(columns: PoleColumns, stems: PoleColumns) -> PoleColumns:
 
 # How pole-like columns lean, and the arms near their tops, from their returns.
 
-_LOWEST_M = 1.0
-"""Returns below this may be of grass, shrubs and fences."""
-
+_LOWEST_M = 1.0  # returns below this may be of grass, shrubs and fences
+# Below the top by this much begin arms, lamps, wires, and transformers that hang on the stem.
 _HEAD_M = 1.7
-"""Below the top by this much begin arms, lamps, wires, and transformers that hang on the stem."""
-
+# Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
+# from end to end.
 _NEAR_M_STEM_SHAPES = 0.6
-"""Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
-from end to end."""
-
+# Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart.
 _FEWEST = 8
-"""Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart."""
-
-_LEAST_SPAN_M = 2.0
-"""Height between its lowest and highest return, the same."""
-
-_THIN_M = 0.1
-"""Cells of which each counts as one return."""
-
-_STARTS = 60
-"""Returns between which lines are tried, spread over all heights."""
-
-_PAIRS = 400
-"""Pairs of them that are tried, spread over all."""
-
+_LEAST_SPAN_M = 2.0  # height between its lowest and highest return, the same
+_THIN_M = 0.1  # cells of which each counts as one return
+_STARTS = 60  # returns between which lines are tried, spread over all heights
+_PAIRS = 400  # pairs of them that are tried, spread over all
+# Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of 3
+# cm. Wires that meet it and transformers lie farther off for the most part.
 _OWN_M = 0.22
-"""Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of
-3 cm. Wires that meet it and transformers lie farther off for the most part."""
-
-_ROUNDS = 5
-"""Rounds of fitting, after which the same returns are a stem's."""
-
+_ROUNDS = 5  # rounds of fitting, after which the same returns are a stem's
+# Noise of a return about the axis before any is seen, each coordinate: a radius of 13 cm.
 _SURFACE_M = 0.09
-"""Noise of a return about the axis before any is seen, each coordinate: a radius of 13 cm."""
-
+# Returns that this counts for: few returns of one side lie on a line that is not the axis.
 _SURFACE_WORTH = 4.0
-"""Returns that this counts for: few returns of one side lie on a line that is not the axis."""
-
-_ARM_HEIGHT_M = 1.2
-"""Arms begin this near to the top."""
-
-_ARM_BEGINS_M = 0.3
-"""Returns nearer to the axis are of the stem and what hangs on it."""
-
-_ARM_ENDS_M = 2.5
-"""Arms are not longer: brackets of lamps reach 2.5 m, crossarms 1.5 m."""
-
-_ARM_WIDE_M = 0.15
-"""Half the width of an arm, with the noise of its returns."""
-
+_ARM_HEIGHT_M = 1.2  # arms begin this near to the top
+_ARM_BEGINS_M = 0.3  # returns nearer to the axis are of the stem and what hangs on it
+_ARM_ENDS_M = 2.5  # arms are not longer: brackets of lamps reach 2.5 m, crossarms 1.5 m
+_ARM_WIDE_M = 0.15  # half the width of an arm, with the noise of its returns
+# An arm has no greater gap: 4 returns a metre leave one this long once in 25 arms of 1 m.
 _ARM_GAP_M = 0.8
-"""An arm has no greater gap: 4 returns a metre leave one this long once in 25 arms of 1 m."""
-
-_WIRE_M = (2.6, 6.0)
-"""What goes on between these distances is a wire."""
-
+_WIRE_M = (2.6, 6.0)  # what goes on between these distances is a wire
+# Half the width in which a wire is looked for: it sags and need not pass over the axis.
 _WIRE_WIDE_M = 0.3
-"""Half the width in which a wire is looked for: it sags and need not pass over the axis."""
-
-_BESIDE_WIRE_DEG = 20.0
-"""Returns this near to a wire's direction may be its own."""
-
-_FEWEST_OF_ARM = 3
-"""Returns that make an arm, or a wire."""
-
-_STEP_DEG = 3.0
-"""Step of the directions in which arms are looked for."""
-
+_BESIDE_WIRE_DEG = 20.0  # returns this near to a wire's direction may be its own
+_FEWEST_OF_ARM = 3  # returns that make an arm, or a wire
+_STEP_DEG = 3.0  # step of the directions in which arms are looked for
 _DIRECTIONS_STEM_SHAPES = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
 
 

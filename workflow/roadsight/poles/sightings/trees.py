@@ -19,52 +19,32 @@ from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN, stem_axis
 
-BUILDING = 6
-"""ASPRS class of buildings."""
-
-_LOWEST_M = 2.0
-"""Returns below this may be of bushes, rails and vehicles."""
-
-_CELL_M = 0.5
-"""Cells of the canopy; wider where the cloud is sparse."""
-
+BUILDING = 6  # ASPRS class of buildings
+_LOWEST_M = 2.0  # returns below this may be of bushes, rails and vehicles
+_CELL_M = 0.5  # cells of the canopy; wider where the cloud is sparse
+# Wider cells hold no crown. Of trees 6 m wide at 20 and 2 returns/m2 cells of 1.2 m find 100 and 58
+# %, of 1.0 m 100 and 18 %, of 1.4 m 98 and 15 %, of 1.7 m 16 and 0 %.
 _WIDEST_CELL_M = 1.2
-"""Wider cells hold no crown. Of trees 6 m wide at 20 and 2 returns/m2 cells of 1.2 m find 100 and
-58 %, of 1.0 m 100 and 18 %, of 1.4 m 98 and 15 %, of 1.7 m 16 and 0 %."""
-
-_RETURNS = 4.0
-"""Returns that a cell should have: one in fifty is then empty in a crown."""
-
+_RETURNS = 4.0  # returns that a cell should have: one in fifty is then empty in a crown
+# Share of the cloud's area that has as many. Where half of it has 3, 4 or 9 returns/m2 and half 6,
+# 24 or 14, cells for the sparser half find 95 to 100 % of such trees in both, cells for the median
+# of all 75 to 80 %, 0 to 3 % and 98 to 100 % in the sparser.
 _DENSER = 0.75
-"""Share of the cloud's area that has as many. Where half of it has 3, 4 or 9 returns/m2 and half 6,
-24 or 14, cells for the sparser half find 95 to 100 % of such trees in both, cells for the median of
-all 75 to 80 %, 0 to 3 % and 98 to 100 % in the sparser."""
-
+# Radius of a disc that fits into every crown: of 1 m, which wires and poles, however many, do not
+# fill (generated rural road: of 380 tops without this 15 are trees).
 _CROWN_CELLS = 2
-"""Radius of a disc that fits into every crown: of 1 m, which wires and poles, however many, do not
-fill (generated rural road: of 380 tops without this 15 are trees)."""
-
-_FILLED = 0.9
-"""Share of the disc's cells that a crown fills."""
-
+_FILLED = 0.9  # share of the disc's cells that a crown fills
+# Returns of a cell lie this far above each other in a crown; those of wires and roofs do not.
 _DEEP_M = 0.5
-"""Returns of a cell lie this far above each other in a crown; those of wires and roofs do not."""
-
-_DEEP = 0.5
-"""Share of the disc's cells of which this holds."""
-
+_DEEP = 0.5  # share of the disc's cells of which this holds
+# Standard deviation by which the canopy is smoothed, so that a crown has one top. From 0.5 to 1 m
+# F1 stays at 0.92 to 0.93 on the trees within 20 m of the generated road.
 _SMOOTH_M = 0.7
-"""Standard deviation by which the canopy is smoothed, so that a crown has one top. From 0.5 to 1 m
-F1 stays at 0.92 to 0.93 on the trees within 20 m of the generated road."""
-
-_APART_M = 1.5
-"""Tops nearer to each other than this are one tree's; from 1 to 2.5 m the same holds."""
-
+_APART_M = 1.5  # tops nearer to each other than this are one tree's; from 1 to 2.5 m the same holds
+# What is wider is of several trees that touch: so far a crown's edge is looked for.
 _WIDEST_M = 12.0
-"""What is wider is of several trees that touch: so far a crown's edge is looked for."""
-
+# Standard deviation of a trunk about its crown's top, each axis: on that road 0.5 to 1 m.
 SIGMA_M = 0.8
-"""Standard deviation of a trunk about its crown's top, each axis: on that road 0.5 to 1 m."""
 
 
 @dataclass(frozen=True)
@@ -191,66 +171,41 @@ def _disc(cells: int) -> NDArray[np.uint8]:
 # than anything else under the crown. From the air most have no return at all, which says nothing.
 # What says that there is none is ground that is shown without a gap: a trunk stands on its own.
 
+# What a cloud shows of a tree: its trunk, its crown alone, and that no trunk stands under it.
 TRUNK, CROWN, NO_TRUNK = "trunk", "crown", "no trunk"
-"""What a cloud shows of a tree: its trunk, its crown alone, and that no trunk stands under it."""
-
+# A trunk stands this near to its crown's top: 95 of 100 with 0.8 m (one sigma, each axis).
 REACH_M = 2.0
-"""A trunk stands this near to its crown's top: 95 of 100 with 0.8 m (one sigma, each axis)."""
-
-_LOWEST_M_TRUNKS = 0.6
-"""Returns below this may be of grass."""
-
-_HIGHEST_M = 4.0
-"""Above this are crowns."""
-
-_BELOW_CROWN = 0.4
-"""Share of a tree's height below which its trunk may be free of leaves."""
-
-_CELL_M_TRUNKS = 0.1
-"""Edge of the cubes that count as one return each, however dense the cloud."""
-
-_CORE_CELLS = 3
-"""Radius of the disc that holds a trunk."""
-
-_WIDE_CELLS = 9
-"""Radius of the disc around it."""
-
+_LOWEST_M_TRUNKS = 0.6  # returns below this may be of grass
+_HIGHEST_M = 4.0  # above this are crowns
+_BELOW_CROWN = 0.4  # share of a tree's height below which its trunk may be free of leaves
+_CELL_M_TRUNKS = 0.1  # edge of the cubes that count as one return each, however dense the cloud
+_CORE_CELLS = 3  # radius of the disc that holds a trunk
+_WIDE_CELLS = 9  # radius of the disc around it
+# Share of the returns in the disc around it that a trunk holds. Of 56 trunks that people labelled
+# in five real streets, with tops 0.5 m off (one sigma), 24 are found, all of them right (to 0.4 m).
+# At places of open ground in those streets 8 of 277 are.
 _OWN = 0.5
-"""Share of the returns in the disc around it that a trunk holds. Of 56 trunks that people labelled
-in five real streets, with tops 0.5 m off (one sigma), 24 are found, all of them right (to 0.4 m).
-At places of open ground in those streets 8 of 277 are."""
-
+# Share of a trunk's returns that any disc beside it has at most: leaves that hang low are as dense
+# in several places. Without it more of those 56 are found (43 with `_SPAN_M` of 0.5), but of 8 on a
+# generated road (24 pulses/m2) 7 are leaves; with it, on that road and three others, 24 of 25 are
+# trunks, to 0.3 m.
 _OTHERS = 0.5
-"""Share of a trunk's returns that any disc beside it has at most: leaves that hang low are as dense
-in several places. Without it more of those 56 are found (43 with `_SPAN_M` of 0.5), but of 8 on a
-generated road (24 pulses/m2) 7 are leaves; with it, on that road and three others, 24 of 25 are
-trunks, to 0.3 m."""
-
-_CHANCE = 0.05
-"""Probability that evenly strewn returns under a crown have such a disc anywhere."""
-
+_CHANCE = 0.05  # probability that evenly strewn returns under a crown have such a disc anywhere
+# Height between the lowest and highest return of a trunk at least. With 0.5 m four of 30 on four
+# roads are none.
 _SPAN_M = 1.0
-"""Height between the lowest and highest return of a trunk at least. With 0.5 m four of 30 on four
-roads are none."""
-
+# Cells of the canopy (`canopy_cell_m`) up to which a cloud may show trunks: 11 returns a square
+# metre. With 8 pulses a square metre (0.7 m) 6 are found on three generated roads, all of them
+# leaves; in a real survey with 16 (0.52 m) those of 2 of 8 trees, 0.2 m off.
 _WIDEST_CELL_M_TRUNKS = 0.6
-"""Cells of the canopy (`canopy_cell_m`) up to which a cloud may show trunks: 11 returns a square
-metre. With 8 pulses a square metre (0.7 m) 6 are found on three generated roads, all of them
-leaves; in a real survey with 16 (0.52 m) those of 2 of 8 trees, 0.2 m off."""
-
+# Standard deviation that no axis gets below: errors of the 24 trunks on four generated roads.
 _LEAST_SIGMA_M = 0.1
-"""Standard deviation that no axis gets below: errors of the 24 trunks on four generated roads."""
-
-_GROUND_M = 0.15
-"""Returns this near to the ground show it."""
-
+_GROUND_M = 0.15  # returns this near to the ground show it
+# Radius of the gap in the ground that a trunk makes. At those 56 trunks the widest gap within 2 m
+# is 0.16 m and more, on open ground near the scanner 0.06 to 0.1 m. A trunk of less than 20 cm that
+# stands there is overlooked.
 _GAP_M = 0.1
-"""Radius of the gap in the ground that a trunk makes. At those 56 trunks the widest gap within 2 m
-is 0.16 m and more, on open ground near the scanner 0.06 to 0.1 m. A trunk of less than 20 cm that
-stands there is overlooked."""
-
-_STEP_M = 0.1
-"""Step of the places at which gaps are looked for."""
+_STEP_M = 0.1  # step of the places at which gaps are looked for
 
 
 @dataclass(frozen=True)

@@ -29,26 +29,19 @@ from roadsight.poles.triangulate.association import (
 from roadsight.poles.triangulate.noise import Noise, fit_noise, place_groups, stated_noise
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
+# Turns of association and of finding errors and depth scale; most drives rest after four.
 _ROUNDS = 7
-"""Turns of association and of finding errors and depth scale; most drives rest after four."""
-
+# Turns with the stated errors, in which the depth scale comes to rest: errors that are found at a
+# wrong scale are too wide.
 _AS_STATED = 2
-"""Turns with the stated errors, in which the depth scale comes to rest: errors that are found at a
-wrong scale are too wide."""
-
+# Fits of the errors that may narrow them. With one, errors that are stated 4 times too wide stay
+# too wide; with no end, they shrink to half of what they are on 173 ambiguous sightings.
 _NARROWING = 2
-"""Fits of the errors that may narrow them. With one, errors that are stated 4 times too wide stay
-too wide; with no end, they shrink to half of what they are on 173 ambiguous sightings."""
-
-_FEWEST_DEPTHS = 30
-"""Depths that the factor needs, as the median of their ratios."""
-
-_SCALES = (0.5, 2.0)
-"""Bounds of the factor: beyond, groups rather than depths are wrong."""
-
+_FEWEST_DEPTHS = 30  # depths that the factor needs, as the median of their ratios
+_SCALES = (0.5, 2.0)  # bounds of the factor: beyond, groups rather than depths are wrong
+# Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
+# that bearings alone do not tell the distance.
 _WELL_CROSSED = 0.1
-"""Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
-that bearings alone do not tell the distance."""
 
 
 @dataclass(frozen=True)
@@ -148,11 +141,9 @@ def depth_ratios(rays: Rays, members: Ints) -> Floats:
 
 # The set of poles that explains the rays best: greedy first, then improved by exchange.
 
-_ROUNDS_EXCHANGE = 6
-"""Rounds of exchange between poles at most; most streets rest after three."""
-
+_ROUNDS_EXCHANGE = 6  # rounds of exchange between poles at most; most streets rest after three
+# Two sets of poles whose evidence differs by less are equal: sums round more than terms.
 _BETTER = 1e-6
-"""Two sets of poles whose evidence differs by less are equal: sums round more than terms."""
 
 
 def associate(grower: Grower) -> list[Pole]:
@@ -314,46 +305,31 @@ def _with_forced(grower: Grower, other: Pole, rivals: list[Pole], free: Bools) -
 
 # What sightings of poles and strays look like on a drive, as far as the drive itself tells.
 
+# Share of strays before any pole is known: detectors of street objects show 5 to 30 %.
 _STRAYS_FIRST = 0.2
-"""Share of strays before any pole is known: detectors of street objects show 5 to 30 %."""
-
+# Share of strays beyond those that no pole took: some have been taken for views.
 _STRAYS_LEAST = 0.05
-"""Share of strays beyond those that no pole took: some have been taken for views."""
-
+# Share of strays at most: rays that no pole took are also views of poles that nobody else saw.
 _STRAYS_MOST = 0.3
-"""Share of strays at most: rays that no pole took are also views of poles that nobody else saw."""
-
+# Share of near images that show a pole, before any is known: a camera that looks ahead sees a pole
+# from half of them, and misses some.
 _SEEN_FIRST = 0.4
-"""Share of near images that show a pole, before any is known: a camera that looks ahead sees a pole
-from half of them, and misses some."""
-
+# The same at most, once poles are known: with 0.5 one pole is taken for two more often (13 % too
+# many on the worst simulated street instead of 7 %).
 _SEEN_MOST = 0.7
-"""The same at most, once poles are known: with 0.5 one pole is taken for two more often (13 % too
-many on the worst simulated street instead of 7 %)."""
-
+# The same at least: below, poles that hide most of the time would be made of anything.
 _SEEN_LEAST = 0.15
-"""The same at least: below, poles that hide most of the time would be made of anything."""
-
-_SEEN_WORTH = 4.0
-"""Images that the share before any pole is known counts for."""
-
-_SEEN_BOUNDS = (0.01, 0.9)
-"""Shares of any one bin: no image proves or excludes a pole by itself."""
-
-_LONE = 0.5
-"""Poles that a ray counts for which no pole took: it is a stray or a pole seen once."""
-
+_SEEN_WORTH = 4.0  # images that the share before any pole is known counts for
+_SEEN_BOUNDS = (0.01, 0.9)  # shares of any one bin: no image proves or excludes a pole by itself
+_LONE = 0.5  # poles that a ray counts for which no pole took: it is a stray or a pole seen once
+# Rays of a pole before any is known: three or four images show one on a drive of 8 m steps.
 _RAYS_A_POLE = 4.0
-"""Rays of a pole before any is known: three or four images show one on a drive of 8 m steps."""
-
+# Least standard deviation of the logarithm of strays' depths: few depths show too little of it.
 _LEAST_SPREAD = 0.3
-"""Least standard deviation of the logarithm of strays' depths: few depths show too little of it."""
-
+# Gate of a member over that of `listing`: evidence judges members itself, the gate saves time.
 _GATE = 1.5
-"""Gate of a member over that of `listing`: evidence judges members itself, the gate saves time."""
-
+# Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing.
 _SIGMAS = (1e-3, 1.0)
-"""Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing."""
 
 
 def likelihood(

@@ -20,9 +20,7 @@ from roadsight.poles.triangulate.rays import (
 )
 
 COLUMNS = ["lat", "lon", "score", "sigma_m"]
-
-_DECIMALS = 9
-"""Of latitude and longitude in degrees: a tenth of a millimetre."""
+_DECIMALS = 9  # of latitude and longitude in degrees: a tenth of a millimetre
 
 
 def triangulate_geographic(
@@ -98,9 +96,8 @@ def _sorted(rows: np.ndarray) -> pd.DataFrame:
 # antimeridian and a pole of the Earth without distortion.
 
 _WGS84 = Geod(ellps="WGS84")
-
+# Step that turns a bearing into a direction: short against the Earth, long against rounding.
 _STEP_M = 10.0
-"""Step that turns a bearing into a direction: short against the Earth, long against rounding."""
 
 
 class TangentFrame:

@@ -35,20 +35,15 @@ POLE_COLUMNS = [
     "kept",
     "reason",
 ]
-
+# Around a place, what the cloud shows this near to it tells whether a crown is over it.
 _CROWN_M = 1.5
-"""Around a place, what the cloud shows this near to it tells whether a crown is over it."""
-
-_OWN_M = 0.4
-"""What is this near to a place is the pole's own."""
-
+_OWN_M = 0.4  # what is this near to a place is the pole's own
+# What is this high above the ground belongs to a crown, a roof or a wire, not to grass or cars.
 _CROWN_FROM_M = 2.0
-"""What is this high above the ground belongs to a crown, a roof or a wire, not to grass or cars."""
-
+# Share of the occupied voxels around a place that are so high, from which a crown is over it. On
+# two generated roads with 8 and 24 pulses/m2, wires and own returns make it up to 0.33 at poles; at
+# trunks that a network took for poles it is 0.79 to 0.91.
 _CROWN_SHARE = 0.5
-"""Share of the occupied voxels around a place that are so high, from which a crown is over it. On
-two generated roads with 8 and 24 pulses/m2, wires and own returns make it up to 0.33 at poles; at
-trunks that a network took for poles it is 0.79 to 0.91."""
 
 
 def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
@@ -238,11 +233,8 @@ def drop_near_structures(
 # 400 sightings take seconds; `explain` has replaced it. It is kept to compare with, as
 # ``listing``.
 
-_ROUNDS = 10
-"""Rounds of grouping and scaling at most, should the factor go to and fro."""
-
-_SETTLED = 0.01
-"""The factor is found when it changes by less than this share."""
+_ROUNDS = 10  # rounds of grouping and scaling at most, should the factor go to and fro
+_SETTLED = 0.01  # the factor is found when it changes by less than this share
 
 
 def choose_listed(
@@ -287,11 +279,9 @@ def _calibrated(rays: Rays, settings: TriangulationSettings) -> float:
 # bound nodes than allowed keeps the best found: a count, not a time, so that every machine
 # answers alike.
 
-_LARGEST = 20_000
-"""Groups of a connected part up to which it is solved exactly."""
-
+_LARGEST = 20_000  # groups of a connected part up to which it is solved exactly
+# Nodes of branch and bound for a part; more come nearer to the best choice, and take longer.
 _NODES = 1000
-"""Nodes of branch and bound for a part; more come nearer to the best choice, and take longer."""
 
 
 def choose_groups(members: list[Ints], gain: Floats, rays: int, largest: int = _LARGEST) -> Ints:

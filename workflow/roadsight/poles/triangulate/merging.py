@@ -13,14 +13,9 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, pair_rays
 
-SAME_CHI2 = 5.99
-"""Two poles nearer than this (95 %, 2 degrees of freedom) may be one."""
-
-SEQUENCE_CHI2 = 13.8
-"""As above (99.9 %), where depths and bearings follow the order of the images."""
-
-_STILL_DEG = 0.2
-"""A bearing that turns back by less than this has not turned."""
+SAME_CHI2 = 5.99  # two poles nearer than this (95 %, 2 degrees of freedom) may be one
+SEQUENCE_CHI2 = 13.8  # as above (99.9 %), where depths and bearings follow the order of the images
+_STILL_DEG = 0.2  # a bearing that turns back by less than this has not turned
 
 
 def merge_groups(
@@ -146,9 +141,9 @@ def _misfit(points: Points, members: Ints) -> float:
 # weighted mean of these points, so nearly parallel rays count for little along their common
 # direction.
 
+# A group is kept for growing while its misfit is below this share of its members' gates: near all
+# of them nothing is gained.
 _GROWTH = 0.8
-"""A group is kept for growing while its misfit is below this share of its members' gates: near all
-of them nothing is gained."""
 
 
 @dataclass(frozen=True)

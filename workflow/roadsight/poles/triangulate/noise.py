@@ -22,31 +22,27 @@ import numpy as np
 from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
+# Length over which errors of a receiver stay alike: tens of seconds at the speed of a street. Those
+# of aligned headings and places across do as well: 10, 50 and 100 m apart their correlation is
+# 0.89, 0.72, 0.60 and 0.79, 0.53, 0.32 on twelve generated roads with 2 pulses/m2, and 0.75, 0.46,
+# 0.21 and 0.54, 0.17, 0.21 on six with 8 and 24.
 _DRIFT_M = 100.0
-"""Length over which errors of a receiver stay alike: tens of seconds at the speed of a street.
-Those of aligned headings and places across do as well: 10, 50 and 100 m apart their correlation is
-0.89, 0.72, 0.60 and 0.79, 0.53, 0.32 on twelve generated roads with 2 pulses/m2, and 0.75, 0.46,
-0.21 and 0.54, 0.17, 0.21 on six with 8 and 24."""
+# Length over which errors of bearings stay alike that nothing else tells: of those without a sigma,
+# and of the shared share of what is a ray's own. An inertial heading wanders between turns.
 _HEADING_M = 30.0
-"""Length over which errors of bearings stay alike that nothing else tells: of those without a
-sigma, and of the shared share of what is a ray's own. An inertial heading wanders between turns."""
+# Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
+# where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that
+# depths that scatter look better than they are.
 _LOOSE = (1.5, 1.5, 0.5)
-"""Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
-where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that depths
-that scatter look better than they are."""
+# As above, of the parts of one kind about each other: the share that is shared, which misfits
+# hardly tell, is known to a factor of 3.
 _APART = 1.0
-"""As above, of the parts of one kind about each other: the share that is shared, which misfits
-hardly tell, is known to a factor of 3."""
-_ROUNDS = 8
-"""Steps of Fisher scoring at most; it rests after four."""
-_SETTLED = 0.01
-"""Steps of the logarithms of the variances that count as rest."""
-_PLACINGS = 3
-"""Gauss-Newton steps of a place; it starts within millimetres."""
+_ROUNDS = 8  # steps of Fisher scoring at most; it rests after four
+_SETTLED = 0.01  # steps of the logarithms of the variances that count as rest
+_PLACINGS = 3  # gauss-Newton steps of a place; it starts within millimetres
+# Least variance of a ray's point, a millimetre: keeps exact sightings from dividing by zero.
 _FLOOR_M2 = 1e-6
-"""Least variance of a ray's point, a millimetre: keeps exact sightings from dividing by zero."""
-_PARTS = 6
-"""Variances of place, bearing and depth: a ray's own, and what near images share."""
+_PARTS = 6  # variances of place, bearing and depth: a ray's own, and what near images share
 
 
 @dataclass(frozen=True)

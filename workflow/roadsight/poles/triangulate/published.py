@@ -25,19 +25,14 @@ from roadsight.poles.triangulate.rays import (
     cross_rays,
 )
 
+# Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere.
 UNIT_M = 640 / 256
-"""Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere."""
-PUBLISHED_DISTANCE = 25.0
-"""Its maximum distance, in that unit."""
-
+PUBLISHED_DISTANCE = 25.0  # its maximum distance, in that unit
+# The published code measures between cameras on an Earth of 6,367 km instead of 6,371 km.
 _EARTH_RATIO = 6_367_000 / 6_371_000
-"""The published code measures between cameras on an Earth of 6,367 km instead of 6,371 km."""
-_DEPTH_IF_UNKNOWN = 5.0
-"""Depth of a ray that has none, in the unit of depths."""
-_SWEEPS = 15
-"""Visits of each ray on average, as in the first code."""
-_MIN_BASELINE_M = 0.5
-"""Cameras nearer to each other than this count as one place (both codes)."""
+_DEPTH_IF_UNKNOWN = 5.0  # depth of a ray that has none, in the unit of depths
+_SWEEPS = 15  # visits of each ray on average, as in the first code
+_MIN_BASELINE_M = 0.5  # cameras nearer to each other than this count as one place (both codes)
 
 
 @dataclass(frozen=True)
@@ -59,8 +54,7 @@ class Energy:
         return 1.0 - self.depth_weight - self.spread_weight
 
 
-FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)
-"""Constants of the first code."""
+FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)  # constants of the first code
 
 
 @dataclass(frozen=True)

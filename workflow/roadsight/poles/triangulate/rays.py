@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.sections.poles import Triangulation
 
-FURTHEST_CAMERAS = 1.5
-"""Two cameras may pair up to this many times the maximum distance to a pole."""
+FURTHEST_CAMERAS = 1.5  # two cameras may pair up to this many times the maximum distance to a pole
 
 
 class TriangulationSettings(Triangulation):
@@ -40,9 +39,9 @@ class TriangulationSettings(Triangulation):
     beam: int = 48
 
 
+# For cameras that a receiver alone placed, and not their alignment: places are less certain, and
+# poles that were seen twice only are believed.
 UNAIDED = TriangulationSettings(sigma_position_m=2.0, pole_evidence=-0.5)
-"""For cameras that a receiver alone placed, and not their alignment: places are less certain, and
-poles that were seen twice only are believed."""
 
 
 @dataclass(frozen=True)

@@ -29,15 +29,13 @@ SIGHTING_COLUMNS = (
     "sigma_depth_m",
     "kept",
 )
-
+# Columns of the errors that near images share, and of a ray's own, by their name in `Rays`.
 SHARED_COLUMNS = {
     "drift_m": ("drift_east_m", "drift_north_m"),
     "aside_m": ("aside_east_m", "aside_north_m"),
     "turned_deg": TURNED_COLUMNS,
     "own_deg": (OWN_COLUMN,),
 }
-"""Columns of the errors that near images share, and of a ray's own, by their name in `Rays`."""
-
 POLE_COLUMNS = (
     "id",
     "kind",
@@ -57,12 +55,12 @@ POLE_COLUMNS = (
     "kept",
     "reason",
 )
-
+# Log evidence that a panel needs beyond what a pole needs: its distance is known to half of it, so
+# that rays to walls meet as well. With a pole's 3, signs of two generated roads have 8.4 to 32,
+# other things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3
+# to 49.
 _PANEL_EVIDENCE = 4.0
-"""Log evidence that a panel needs beyond what a pole needs: its distance is known to half of it, so
-that rays to walls meet as well. With a pole's 3, signs of two generated roads have 8.4 to 32, other
-things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3 to 49."""
-
+# Columns of poles that hold real numbers.
 _NUMBERS = (
     "x",
     "y",
@@ -72,7 +70,6 @@ _NUMBERS = (
     "condition",
     "evidence",
 )
-"""Columns of poles that hold real numbers."""
 
 
 def site_poles(
@@ -176,13 +173,11 @@ def _joined(names: pd.Series) -> str:
 
 # Poles with what a person decided on them.
 
+# A decision is on the nearest pole of its kind within this distance of where it was made: a pole
+# that is computed again from other settings moves less, and two poles are seldom as near.
 REACH_M = 2.0
-"""A decision is on the nearest pole of its kind within this distance of where it was made: a pole
-that is computed again from other settings moves less, and two poles are seldom as near."""
-
+# What each decision makes of a pole.
 _WORDS = {"accept": "accepted", "reject": "rejected", "move": "moved"}
-"""What each decision makes of a pole."""
-
 REJECTED = "rejected by a person"
 
 
@@ -238,6 +233,8 @@ def nearest_poles(poles: pd.DataFrame, decisions: pd.DataFrame) -> Ints:
 
 # What an object is like: how high, whether it leans, has arms, how wide its crown is.
 
+# Columns of poles; NaN where the cloud does not tell, and where the kind has no such thing. Heights
+# by images are not among them: frames and wires cut poles, which were 2 to 5 m too low.
 SHAPE_COLUMNS = (
     "height_m",
     "lean_deg",
@@ -247,17 +244,11 @@ SHAPE_COLUMNS = (
     "arm_sides",
     "crown_width_m",
 )
-"""Columns of poles; NaN where the cloud does not tell, and where the kind has no such thing.
-Heights by images are not among them: frames and wires cut poles, which were 2 to 5 m too low."""
-
+# What the cloud shows of a pole (`cloud_shows`), where it does; of trees see `find_trunks`.
 COLUMN = "column"
-"""What the cloud shows of a pole (`cloud_shows`), where it does; of trees see `find_trunks`."""
-
+# A column of the cloud this near to a pole, and by twice the pole's own error, is the pole.
 _SAME_M = 1.0
-"""A column of the cloud this near to a pole, and by twice the pole's own error, is the pole."""
-
-_FARTHEST_M = 3.0
-"""The same at most: columns may stand so near to each other."""
+_FARTHEST_M = 3.0  # the same at most: columns may stand so near to each other
 
 
 def with_shapes(poles: pd.DataFrame, columns: pd.DataFrame | None) -> pd.DataFrame:
@@ -293,40 +284,34 @@ def with_shapes(poles: pd.DataFrame, columns: pd.DataFrame | None) -> pd.DataFra
 
 # How likely a found object is real, calibrated on generated roads.
 
+# Log odds that the rays of a group show one thing, and not strays that meet: so much, and so much
+# of the evidence. Views of one pole share errors, and of all groups that rays allow the best are
+# taken, so that the evidence itself says too much. Fitted on 8,243 groups of 210 simulated drives
+# with up to one stray an image, of which 94 % are real.
 _ONE_THING = (-0.402, 0.585)
-"""Log odds that the rays of a group show one thing, and not strays that meet: so much, and so much
-of the evidence. Views of one pole share errors, and of all groups that rays allow the best are
-taken, so that the evidence itself says too much. Fitted on 8,243 groups of 210 simulated drives
-with up to one stray an image, of which 94 % are real."""
-
+# Log odds that this thing is a pole: so much, of the logarithm of its error (m), of the logarithm
+# of one more than its evidence. Trunks and posts that a network takes for poles are real things,
+# seen less often and less alike. Fitted on 109 groups of one generated road (seed 1) in clouds of
+# 2, 8 and 24 pulses a square metre, with the shipped network's masks; 20 are none. On three other
+# roads (seeds 3, 5, 7) in such clouds, of 194 groups, of which 167 are real, the sum of the
+# probabilities is 157.9.
 _IS_A_POLE = (-5.64, -0.72, 2.34)
-"""Log odds that this thing is a pole: so much, of the logarithm of its error (m), of the logarithm
-of one more than its evidence. Trunks and posts that a network takes for poles are real things, seen
-less often and less alike. Fitted on 109 groups of one generated road (seed 1) in clouds of 2, 8 and
-24 pulses a square metre, with the shipped network's masks; 20 are none. On three other roads (seeds
-3, 5, 7) in such clouds, of 194 groups, of which 167 are real, the sum of the probabilities is
-157.9."""
-
+# Of a tree that images show. Of 270 on that road in these clouds, 266 stand within 3 m of a trunk;
+# of 677 on the others, 671. How many images show it and how tall it is does not tell them apart.
 _TREE = 0.98
-"""Of a tree that images show. Of 270 on that road in these clouds, 266 stand within 3 m of a trunk;
-of 677 on the others, 671. How many images show it and how tall it is does not tell them apart."""
-
+# Times its odds where the cloud shows a trunk, or that there is none: shares of 56 trunks that
+# people labelled in five real streets (no one of them contradicted, which counts as 1 of 58), over
+# those of 277 places there without one. A crown alone has the odds times the share of the trees
+# that have no more: the more trunks a cloud shows, the more does one tell that is not there.
 _SHOWN = {TRUNK: 24 / 56 * 277 / 8, NO_TRUNK: 1 / 58 * 277 / 95}
-"""Times its odds where the cloud shows a trunk, or that there is none: shares of 56 trunks that
-people labelled in five real streets (no one of them contradicted, which counts as 1 of 58), over
-those of 277 places there without one. A crown alone has the odds times the share of the trees that
-have no more: the more trunks a cloud shows, the more does one tell that is not there."""
-
+# Of a panel that is kept: of 38 on two generated roads (seeds 3 and 5) in three clouds, 36 are
+# within 3 m of a sign; one more of either is counted, for 38 are few. Of the 43 on two others
+# (seeds 1 and 7) 41 are. What is wrong has evidence of 10.1 to 14.6, signs of 10.4 and more.
 _PANEL = 37 / 40
-"""Of a panel that is kept: of 38 on two generated roads (seeds 3 and 5) in three clouds, 36 are
-within 3 m of a sign; one more of either is counted, for 38 are few. Of the 43 on two others (seeds
-1 and 7) 41 are. What is wrong has evidence of 10.1 to 14.6, signs of 10.4 and more."""
-
+# What tells a probability, in words: how often what looks so is real on generated roads.
 CALIBRATED = "generated roads"
-"""What tells a probability, in words: how often what looks so is real on generated roads."""
-
 _DECIDED = "a person's decision"
-
+# Why there is no probability, by the shape of a kind.
 UNKNOWN = {
     "stem": "none: its evidence is unknown",
     "panel": "none: withheld, of which generated roads have few, or of unknown evidence",
@@ -334,7 +319,6 @@ UNKNOWN = {
     "line": "none: generated roads have nothing that is taken for a guardrail",
     "block": "none: the cloud's class or planes tell it, and how often they err was not counted",
 }
-"""Why there is no probability, by the shape of a kind."""
 
 
 def one_thing_probability(evidence: Floats) -> Floats:
@@ -394,47 +378,33 @@ def _shapes(poles: pd.DataFrame) -> NDArray[np.str_]:
 
 # What speaks against panels of signs: their heights, and what the cloud shows in their place.
 
-STANDING = "stands on the ground as no panel does"
-"""Reason of what is withheld so."""
-
+STANDING = "stands on the ground as no panel does"  # reason of what is withheld so
+# Height of a lower edge over the ground below which a thing stands on it. On a generated road signs
+# have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67.
 _STANDS_BELOW_M = 0.7
-"""Height of a lower edge over the ground below which a thing stands on it. On a generated road
-signs have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67."""
-
+# Reason of what is withheld so.
 UNEVEN = "its edges are not at one height in as many images as a panel needs"
-"""Reason of what is withheld so."""
-
+# Edges of one panel are this near to its usual ones: three pixels of the sample's front view at 60
+# m.
 _ONE_HEIGHT_M = 0.3
-"""Edges of one panel are this near to its usual ones: three pixels of the sample's front view at
-60 m."""
-
-LOW = "its upper edge is lower than a sign's"
-"""Reason of what is withheld so."""
-
+LOW = "its upper edge is lower than a sign's"  # reason of what is withheld so
+# Height over the ground of the lowest upper edge: signs hang 1.5 m high and more beside rural
+# roads, object markers, 0.3 m high, at 1.2 m (MUTCD 2009, 2A.18 and 2C.63); letter boxes end below,
+# for their floor is at 1.04 to 1.14 m (USPS), and so do cars.
 _TOP_M = 1.5
-"""Height over the ground of the lowest upper edge: signs hang 1.5 m high and more beside rural
-roads, object markers, 0.3 m high, at 1.2 m (MUTCD 2009, 2A.18 and 2C.63); letter boxes end below,
-for their floor is at 1.04 to 1.14 m (USPS), and so do cars."""
-
-FILLED = "the cloud shows something that fills its place"
-"""Reason of panels that are withheld so."""
-
+FILLED = "the cloud shows something that fills its place"  # reason of panels that are withheld so
+# What is this near to a panel's place tells whether something fills it: half a car's width.
 _PLACE_M = 1.0
-"""What is this near to a panel's place tells whether something fills it: half a car's width."""
-
+# Heights over the ground between which there is air below and beside a panel: above grass.
 _FILLED_M = (0.4, 2.0)
-"""Heights over the ground between which there is air below and beside a panel: above grass."""
-
+# Share of the columns of voxels around a place that hold something at these heights. At cars it is
+# 0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most.
 _FILLED_SHARE = 0.6
-"""Share of the columns of voxels around a place that hold something at these heights. At cars it is
-0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most."""
-
+# So many columns do so: a post and its panel are five where nothing else was scanned. Of voxels
+# above 0.6 m the disc has fewer: they are too coarse to tell, and withhold nothing.
 _FILLED_COLUMNS = 8
-"""So many columns do so: a post and its panel are five where nothing else was scanned. Of voxels
-above 0.6 m the disc has fewer: they are too coarse to tell, and withhold nothing."""
-
+# Width of a column, of which finer voxels are parts: of voxels of 0.05 m a panel alone fills 8.
 _COLUMN_M = 0.3048
-"""Width of a column, of which finer voxels are parts: of voxels of 0.05 m a panel alone fills 8."""
 
 
 def panel_edges(
