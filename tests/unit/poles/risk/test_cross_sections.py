@@ -190,7 +190,7 @@ def test_a_v_ditch_and_an_embankment():
     assert ditch.backslope()[0] == pytest.approx(0.4, abs=0.01)
     bank = section_of(bent((0, 0), (1, -0.04), (8.1, -3.59)))
     assert [e.kind for e in bank.elements] == ["shoulder", "foreslope"]
-    assert bank.elements[1].ratio == "1V:2.0H"
+    assert slope_text(bank.elements[1].slope) == "1V:2.0H"
 
 
 def test_level_ground_is_no_shoulder_and_no_slope():

@@ -138,6 +138,21 @@ def score_checks(
     } | _nssda(error_m[stands])
 
 
+def _nssda(error_m: Floats) -> dict[str, Any]:
+    """Horizontal accuracy by the national standard for spatial data accuracy."""
+    if not len(error_m):
+        return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
+    rmse = np.sqrt((error_m**2).mean(axis=0))
+    # Along the errors' own axes: a road may run any way on the grid.
+    squares = np.linalg.eigvalsh(error_m.T @ error_m / len(error_m))
+    less, more = np.sqrt(np.maximum(squares, 0.0))
+    return {
+        "nssda_m": radius_95_m(less, more) if len(error_m) >= FEWEST else None,
+        "rmse_x_m": float(rmse[0]),
+        "rmse_y_m": float(rmse[1]),
+    }
+
+
 def wilson(share: float, weight: Floats) -> tuple[float, float]:
     """Interval that holds a share in 95 of 100 samples (Wilson 1927; weights by Kish 1965).
 
@@ -154,26 +169,6 @@ def wilson(share: float, weight: Floats) -> tuple[float, float]:
     middle = (share + _Z95**2 / (2 * n)) / (1 + _Z95**2 / n)
     half = np.sqrt(share * (1 - share) / n + _Z95**2 / (4 * n**2)) * _Z95 / (1 + _Z95**2 / n)
     return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
-
-
-def _nssda(error_m: Floats) -> dict[str, Any]:
-    """Horizontal accuracy by the national standard for spatial data accuracy."""
-    if not len(error_m):
-        return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
-    rmse = np.sqrt((error_m**2).mean(axis=0))
-    enough = len(error_m) >= FEWEST
-    return {
-        "nssda_m": radius_95_m(*_along_own_axes_m(error_m)) if enough else None,
-        "rmse_x_m": float(rmse[0]),
-        "rmse_y_m": float(rmse[1]),
-    }
-
-
-def _along_own_axes_m(error_m: Floats) -> tuple[float, float]:
-    """Root mean squares of errors along their own axes: a road may run any way on the grid."""
-    squares = np.linalg.eigvalsh(error_m.T @ error_m / len(error_m))
-    less, more = np.sqrt(np.maximum(squares, 0.0))
-    return float(less), float(more)
 
 
 def radius_95_m(x_m: float, y_m: float) -> float:

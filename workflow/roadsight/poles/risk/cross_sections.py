@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Floats
 from roadsight.poles.risk.profiles import (
     STEP_M,
     Pieces,
@@ -67,11 +67,6 @@ class Element:
     def width_m(self) -> float:
         """Width in plan."""
         return self.end_m - self.start_m
-
-    @property
-    def ratio(self) -> str:
-        """The slope as 1V:nH."""
-        return slope_text(self.slope)
 
 
 @dataclass(frozen=True)
@@ -134,18 +129,14 @@ def cross_section(profile: Profile, window_m: float = 1.5) -> CrossSection | Non
     if len(profile) < 6:
         return None
     pieces = fit_pieces(profile)
-    return CrossSection(
-        profile,
-        pieces,
-        name_elements(pieces),
-        steepest(pieces, window_m, -1),
-        steepest(pieces, window_m, +1),
-    )
+    fall, rise = (steepest(pieces, window_m, sign) for sign in (-1, +1))
+    return CrossSection(profile, pieces, name_elements(pieces), fall, rise)
 
 
 def name_elements(pieces: Pieces) -> tuple[Element, ...]:
     """Names of the pieces from the edge outwards, and the steps between them."""
-    kinds = [_slope_kind(slope) for slope in pieces.slope]
+    by_slope = [pieces.slope <= -LEVEL_SLOPE, pieces.slope >= LEVEL_SLOPE]
+    kinds = np.select(by_slope, ["foreslope", "backslope"], "level").tolist()
     widths = np.diff(pieces.ends_m)
     lead = 0
     while lead < len(kinds) and kinds[lead] == "level":
@@ -162,17 +153,8 @@ def name_elements(pieces: Pieces) -> tuple[Element, ...]:
         start, end = pieces.ends_m[number : number + 2]
         sigma = float(np.hypot(*pieces.sigma_ends_m[number : number + 2]))
         slope, sigma_slope = pieces.slope[number], pieces.sigma_slope[number]
-        found.append(
-            Element(
-                kind,
-                float(start),
-                float(end),
-                sigma,
-                float(slope),
-                float(sigma_slope),
-                float(slope * (end - start)),
-            )
-        )
+        numbers = (start, end, sigma, slope, sigma_slope, slope * (end - start))
+        found.append(Element(kind, *map(float, numbers)))
         if number < len(kinds) - 1 and abs(pieces.jump_m[number]) >= STEP_M * 0.8:
             jump = float(pieces.jump_m[number])
             name = "drop-off" if jump < 0 else ("kerb" if jump <= KERB_M else "wall")
@@ -180,12 +162,6 @@ def name_elements(pieces: Pieces) -> tuple[Element, ...]:
             nan = float("nan")
             found.append(Element(name, float(end), float(end), sigma, nan, nan, jump))
     return tuple(found)
-
-
-def _slope_kind(slope: float) -> str:
-    if slope <= -LEVEL_SLOPE:
-        return "foreslope"
-    return "backslope" if slope >= LEVEL_SLOPE else "level"
 
 
 def profile_from_heights(
@@ -231,11 +207,12 @@ def profile_from_points(
     run = gap @ outward
     along = gap @ np.array([-outward[1], outward[0]])
     inside = (run >= -bin_m / 2) & (run <= reach_m) & (np.abs(along) <= far_m)
-    strips = [
-        _strip(run[own], along[own], points_m[rows[own], 2], bin_m)
-        for own in (inside & part for part in _parts(along, half_length_m))
-        if own.sum() >= _FEWEST
-    ]
+    strips = []
+    for side in (-1, 1):
+        for low in np.arange(half_length_m, far_m - 1e-9, _STRIP_M):
+            own = inside & (side * along > low) & (side * along <= low + _STRIP_M)
+            if own.sum() >= _FEWEST:
+                strips.append(_strip(run[own], along[own], points_m[rows[own], 2], bin_m))
     near = inside & (np.abs(along) <= half_length_m)
     if near.sum() < _FEWEST:
         none = np.zeros(0)
@@ -254,20 +231,22 @@ def profile_from_points(
     return binned_profile(pooled_run, pooled_height, bin_m / 2 if len(alike) >= _MANY else bin_m)
 
 
-def _parts(along: Floats, half_m: float) -> list[Bools]:
-    """Strips beside the middle one, from it outwards on either side."""
-    starts = np.arange(half_m, half_m + _POOLED_M - 1e-9, _STRIP_M)
-    return [
-        (side * along > low) & (side * along <= low + _STRIP_M)
-        for side in (-1, 1)
-        for low in starts
-    ]
-
-
 def _strip(run: Floats, along: Floats, height: Floats, bin_m: float) -> tuple[Floats, Floats]:
     """Runs and heights of points as at the middle of their strip."""
     along = along - along.mean()
-    return run, height - along * _along_slope(run, along, height, bin_m)
+    # The slope along the road, from points of the same bin: these differ by it and by noise.
+    number = np.floor(run / (2 * bin_m)).astype(np.int64)
+    _, group = np.unique(number, return_inverse=True)
+    count = np.bincount(group)
+    flat = along - (np.bincount(group, along) / count)[group]
+    rise = height - (np.bincount(group, height) / count)[group]
+    spread = float(flat @ flat)
+    if spread < 1e-6:
+        return run, height
+    slope = float(flat @ rise) / spread
+    kept = np.abs(rise - slope * flat) <= 3 * 1.4826 * np.median(np.abs(rise - slope * flat)) + 1e-9
+    slope = float(flat[kept] @ rise[kept] / max(float(flat[kept] @ flat[kept]), 1e-6))
+    return run, height - along * slope
 
 
 def _moved(
@@ -291,21 +270,6 @@ def _moved(
     if np.mean(np.minimum(off**2, _FAR**2)) > _ALIKE:
         return None
     return run - aside, height - up
-
-
-def _along_slope(run: Floats, along: Floats, height: Floats, bin_m: float) -> float:
-    """Slope along the road, from points of the same bin: these differ by it and by noise."""
-    number = np.floor(run / (2 * bin_m)).astype(np.int64)
-    _, group = np.unique(number, return_inverse=True)
-    count = np.bincount(group)
-    flat = along - (np.bincount(group, along) / count)[group]
-    rise = height - (np.bincount(group, height) / count)[group]
-    spread = float(flat @ flat)
-    if spread < 1e-6:
-        return 0.0
-    slope = float(flat @ rise) / spread
-    kept = np.abs(rise - slope * flat) <= 3 * 1.4826 * np.median(np.abs(rise - slope * flat)) + 1e-9
-    return float(flat[kept] @ rise[kept] / max(float(flat[kept] @ flat[kept]), 1e-6))
 
 
 def _level_at_edge(run: Floats, height: Floats) -> float:

@@ -18,6 +18,7 @@ from roadsight.poles.risk.cross_sections import (
     cross_section,
     profile_from_heights,
     profile_from_points,
+    slope_text,
 )
 from roadsight.poles.risk.inventory import NO_INVENTORY, Inventory
 from roadsight.poles.risk.marked_lanes import LANE_COLUMNS, marked_lanes, with_inventory
@@ -284,7 +285,7 @@ def section_rows(
                 element.sigma_width_m,
                 element.slope,
                 element.sigma_slope,
-                "" if np.isnan(element.slope) else element.ratio,
+                "" if np.isnan(element.slope) else slope_text(element.slope),
                 element.rise_m,
                 *start,
                 *end,
