@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from roadsight.base.sections.poles import Hazard
-from roadsight.poles.risk.hazard import HAZARD_COLUMNS, ROADSIDE_COLUMNS, rate_poles, rate_roadside
+from roadsight.poles.risk.hazard import HAZARD_COLUMNS, ROADSIDE_COLUMNS, rate_roadside
 from roadsight.poles.risk.inventory import check_inventory
 from roadsight.poles.risk.roads import RouteTracks, roads_of
 from roadsight.poles.risk.roadside import (
@@ -18,6 +18,7 @@ from roadsight.poles.risk.roadside_rating import SOURCES
 from roadsight.poles.risk.shielding import barriers_along
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.videolog import random_drives, shots
+from tests.helpers.rated_poles import rate_poles
 from tests.helpers.rural_sections import exact_height, ground_points, open_stations, true_hinges
 
 RULES = Hazard()

@@ -60,7 +60,7 @@ class Inventory:
         """The inventory's name of a road, by the road's name or its drives'; None for none."""
         names = {_plain(name): name for name in self.routes()}
         for wanted in (road.name, *road.drives):
-            for key in (_plain(wanted), _bare(wanted)):
+            for key in (_plain(wanted), _plain(_DIRECTION.sub("", wanted.strip().lower()))):
                 if key in names:
                     return names[key]
         return None
@@ -146,7 +146,7 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
             )
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
     for route, own in table.groupby("route", sort=True):
-        _check_route(str(route), own, where)
+        _refuse_overlap(str(route), own, where)
     return Inventory(table[list(COLUMNS)])
 
 
@@ -181,8 +181,7 @@ def _check_row(row: pd.Series, where: str) -> None:
         )
 
 
-def _check_route(route: str, own: pd.DataFrame, where: str) -> None:
-    """Refuse segments that overlap."""
+def _refuse_overlap(route: str, own: pd.DataFrame, where: str) -> None:
     ends, starts = own["to_m"].to_numpy()[:-1], own["from_m"].to_numpy()[1:]
     reached = np.maximum.accumulate(ends) if len(ends) else ends
     over = np.flatnonzero(reached - starts > SAME_M)
@@ -201,8 +200,3 @@ def _check_route(route: str, own: pd.DataFrame, where: str) -> None:
 
 def _plain(name: str) -> str:
     return re.sub(r"[\s_-]", "", str(name)).lower()
-
-
-def _bare(name: str) -> str:
-    """Name of a route without the direction at its end."""
-    return _plain(_DIRECTION.sub("", str(name).strip().lower()))

@@ -110,67 +110,6 @@ def marked_lanes(
     return pd.DataFrame(rows, columns=list(LANE_COLUMNS), dtype=np.float64)
 
 
-def with_inventory(
-    marked: pd.DataFrame, known: pd.DataFrame, paved_width_m: Floats
-) -> pd.DataFrame:
-    """Lanes by markings, and where images do not show them as an inventory states them.
-
-    Parameters
-    ----------
-    marked : `LANE_COLUMNS`. known : lanes and lane_width_m of the inventory, NaN where unknown.
-    paved_width_m : no lane is wider than its share of it.
-
-    Returns
-    -------
-    `LANE_COLUMNS`; lanes_from: ``markings``, ``inventory``, ``paved width`` (the inventory's lanes,
-    each as wide as its share), or empty where nobody tells a number of lanes; left_from,
-    right_from: ``markings``, ``inventory`` or empty; travelled_from: both of them
-    """
-    lanes, wide = (known[name].to_numpy(np.float64) for name in ("lanes", "lane_width_m"))
-    seen = marked["lanes"].notna().to_numpy()
-    found = marked.reset_index(drop=True).copy()
-    share = np.asarray(paved_width_m, np.float64) / lanes
-    stated = np.where(np.isnan(wide), share, wide)
-    found["lanes"] = np.where(seen, found["lanes"], lanes)
-    found["lane_width_m"] = np.where(seen, found["lane_width_m"], stated)
-    told = np.isfinite(lanes)
-    by = [seen, told & np.isnan(wide) & np.isfinite(share), told]
-    found["lanes_from"] = np.select(by, [MARKINGS, PAVED, INVENTORY], "").astype(object)
-    half = lanes * wide / 2
-    for side in ("left", "right"):
-        own = found[f"{side}_m"]
-        found[f"{side}_from"] = np.select(
-            [own.notna(), np.isfinite(half)], [MARKINGS, INVENTORY], ""
-        ).astype(object)
-        found[f"{side}_m"] = own.fillna(pd.Series(half))
-    found["travelled_from"] = [
-        " and ".join(sorted(set(sides) - {""}, reverse=True))
-        for sides in zip(found["left_from"], found["right_from"], strict=True)
-    ]
-    return found
-
-
-def _lanes_of(lines: list[_Line], paved_m: Floats, median: bool) -> tuple[float, ...]:
-    """Values of `LANE_COLUMNS` of the lines at one station; no lanes beside a median."""
-    nan = float("nan")
-    ends = []
-    for side, end, paved in ((-1, 0, paved_m[0]), (1, -1, paved_m[1])):
-        found = nan, nan
-        if lines and lines[end].share >= _SOLID:
-            away = side * lines[end].offset_m
-            if away > _NARROWEST_M / 2 and paved - away <= _WIDEST_SHOULDER_M:
-                found = away, lines[end].sigma_m
-        ends.append(found)
-    (left, sigma_left), (right, sigma_right) = ends
-    widths = np.diff([line.offset_m for line in lines])
-    count, width = nan, nan
-    known = np.isfinite(left + right) and len(widths) > 0 and not median
-    if known and ((widths >= _NARROWEST_M) & (widths <= _WIDEST_M)).all():
-        count, width = float(len(widths)), float(widths.mean())
-    sigma = float(np.hypot(sigma_left, sigma_right)) / count
-    return left, right, sigma_left, sigma_right, count, width, sigma
-
-
 def _looked_at(station: Floats, image: Ints) -> Ints:
     """Pieces of road between the first and the last point of some image, ascending.
 
@@ -209,7 +148,14 @@ def _lines(station: Floats, offset: Floats, image: Ints, looked_at: int) -> list
             break
         free &= np.abs(offset - middle) > _HALF_M
         if len(np.unique(image[own])) >= _FEWEST_IMAGES:
-            found.append(_line(offset[own], image[own], share))
+            # Sigma by how much images differ.
+            _, group = np.unique(image[own], return_inverse=True)
+            means = np.bincount(group, offset[own]) / np.bincount(group)
+            at = float(np.median(means))
+            spread = 1.4826 * float(np.median(np.abs(means - at)))
+            sigma = float(np.hypot(spread / np.sqrt(max(len(means) / _SHARED, 1.0)), _FLOOR_M))
+            half = float(np.median(np.abs(offset[own] - means[group])))
+            found.append(_Line(at, sigma, share, half))
     return sorted(found)
 
 
@@ -224,16 +170,6 @@ def _densest(offset: Floats, piece: Ints) -> float:
     best = first + int(np.argmax(near))
     own: Bools = np.abs(cell - best) <= 2
     return float(np.median(offset[own]))
-
-
-def _line(offset: Floats, image: Ints, share: float) -> _Line:
-    """A line of its points; sigma by how much images differ."""
-    _, group = np.unique(image, return_inverse=True)
-    means = np.bincount(group, offset) / np.bincount(group)
-    middle = float(np.median(means))
-    spread = 1.4826 * float(np.median(np.abs(means - middle)))
-    sigma = float(np.hypot(spread / np.sqrt(max(len(means) / _SHARED, 1.0)), _FLOOR_M))
-    return _Line(middle, sigma, share, float(np.median(np.abs(offset - means[group]))))
 
 
 def _apart(lines: list[_Line], station: Floats, offset: Floats) -> tuple[list[_Line], bool]:
@@ -259,3 +195,64 @@ def _apart(lines: list[_Line], station: Floats, offset: Floats) -> tuple[list[_L
         ]
         kept.remove(inner if goes_on[1] >= _ALIKE * goes_on[0] else outer)
     return kept, median or any(2 * line.half_m > _MEDIAN_M for line in kept[1:-1])
+
+
+def _lanes_of(lines: list[_Line], paved_m: Floats, median: bool) -> tuple[float, ...]:
+    """Values of `LANE_COLUMNS` of the lines at one station; no lanes beside a median."""
+    nan = float("nan")
+    ends = []
+    for side, end, paved in ((-1, 0, paved_m[0]), (1, -1, paved_m[1])):
+        found = nan, nan
+        if lines and lines[end].share >= _SOLID:
+            away = side * lines[end].offset_m
+            if away > _NARROWEST_M / 2 and paved - away <= _WIDEST_SHOULDER_M:
+                found = away, lines[end].sigma_m
+        ends.append(found)
+    (left, sigma_left), (right, sigma_right) = ends
+    widths = np.diff([line.offset_m for line in lines])
+    count, width = nan, nan
+    known = np.isfinite(left + right) and len(widths) > 0 and not median
+    if known and ((widths >= _NARROWEST_M) & (widths <= _WIDEST_M)).all():
+        count, width = float(len(widths)), float(widths.mean())
+    sigma = float(np.hypot(sigma_left, sigma_right)) / count
+    return left, right, sigma_left, sigma_right, count, width, sigma
+
+
+def with_inventory(
+    marked: pd.DataFrame, known: pd.DataFrame, paved_width_m: Floats
+) -> pd.DataFrame:
+    """Lanes by markings, and where images do not show them as an inventory states them.
+
+    Parameters
+    ----------
+    marked : `LANE_COLUMNS`. known : lanes and lane_width_m of the inventory, NaN where unknown.
+    paved_width_m : no lane is wider than its share of it.
+
+    Returns
+    -------
+    `LANE_COLUMNS`; lanes_from: ``markings``, ``inventory``, ``paved width`` (the inventory's lanes,
+    each as wide as its share), or empty where nobody tells a number of lanes; left_from,
+    right_from: ``markings``, ``inventory`` or empty; travelled_from: both of them
+    """
+    lanes, wide = (known[name].to_numpy(np.float64) for name in ("lanes", "lane_width_m"))
+    seen = marked["lanes"].notna().to_numpy()
+    found = marked.reset_index(drop=True).copy()
+    share = np.asarray(paved_width_m, np.float64) / lanes
+    stated = np.where(np.isnan(wide), share, wide)
+    found["lanes"] = np.where(seen, found["lanes"], lanes)
+    found["lane_width_m"] = np.where(seen, found["lane_width_m"], stated)
+    told = np.isfinite(lanes)
+    by = [seen, told & np.isnan(wide) & np.isfinite(share), told]
+    found["lanes_from"] = np.select(by, [MARKINGS, PAVED, INVENTORY], "").astype(object)
+    half = lanes * wide / 2
+    for side in ("left", "right"):
+        own = found[f"{side}_m"]
+        found[f"{side}_from"] = np.select(
+            [own.notna(), np.isfinite(half)], [MARKINGS, INVENTORY], ""
+        ).astype(object)
+        found[f"{side}_m"] = own.fillna(pd.Series(half))
+    found["travelled_from"] = [
+        " and ".join(sorted(set(sides) - {""}, reverse=True))
+        for sides in zip(found["left_from"], found["right_from"], strict=True)
+    ]
+    return found

@@ -101,21 +101,21 @@ def binned_profile(
     run, height = run[order], height[order]
     number = np.floor(run / bin_m + 1e-6).astype(np.int64)
     _, first, count = np.unique(number, return_index=True, return_counts=True)
-    bins = [_bin(run[a : a + n], height[a : a + n]) for a, n in zip(first, count, strict=True)]
+    bins = []  # mean run and height, and their sigma for heights of sigma 1
+    for start, n in zip(first, count, strict=True):
+        x, z = run[start : start + n], height[start : start + n]
+        if n <= _FEW_HEIGHTS:
+            # The median of n normal heights has sigma 1.25 / sqrt(n), of one or two 1 / sqrt(n).
+            wide = 1.2533 if n > 2 else 1.0
+            bins.append((float(x.mean()), float(np.median(z)), wide / float(np.sqrt(n))))
+            continue
+        off = np.abs(z - np.median(z))
+        kept = off <= _OUTLIER * 1.4826 * np.median(off) + 1e-9
+        sigma = 1.0 / float(np.sqrt(kept.sum()))
+        bins.append((float(x[kept].mean()), float(z[kept].mean()), sigma))
     middle, level, share = np.array(bins).reshape(-1, 3).T
     own = noise_of(middle, level, share) if sigma_m is None else sigma_m
     return Profile(middle, level, np.hypot(own * share, LEAST_SIGMA_M))
-
-
-def _bin(run: Floats, height: Floats) -> tuple[float, float, float]:
-    """Mean run and height of a bin, and their sigma for heights of sigma 1."""
-    if len(height) <= _FEW_HEIGHTS:
-        # The median of n normal heights has sigma 1.25 / sqrt(n), of one or two 1 / sqrt(n).
-        wide = 1.2533 if len(height) > 2 else 1.0
-        return float(run.mean()), float(np.median(height)), wide / float(np.sqrt(len(height)))
-    off = np.abs(height - np.median(height))
-    kept = off <= _OUTLIER * 1.4826 * np.median(off) + 1e-9
-    return float(run[kept].mean()), float(height[kept].mean()), 1.0 / float(np.sqrt(kept.sum()))
 
 
 def noise_of(run_m: Floats, height_m: Floats, share: Floats | None = None) -> float:
@@ -293,10 +293,6 @@ def steepest(pieces: Pieces, window_m: float = 1.5, sign: int = -1) -> tuple[flo
     slopes = (pieces.height_m(starts + window) - pieces.height_m(starts)) / window
     row = int(np.argmax(sign * slopes))
     slope = float(slopes[row]) if sign * slopes[row] > 0 else 0.0
-    inside = np.clip(
-        np.minimum(pieces.ends_m[1:], starts[row] + window)
-        - np.maximum(pieces.ends_m[:-1], starts[row]),
-        0.0,
-        None,
-    )
+    ends = np.minimum(pieces.ends_m[1:], starts[row] + window)
+    inside = np.clip(ends - np.maximum(pieces.ends_m[:-1], starts[row]), 0.0, None)
     return slope, float(inside @ pieces.sigma_slope / window), float(starts[row])
