@@ -45,30 +45,6 @@ _BEYOND_M = 60.0
 
 
 @dataclass(frozen=True)
-class Located:
-    """Places along roads.
-
-    Parameters
-    ----------
-    road : (n,) number of the road, -1 for none. station_m : (n,) measure along its centreline.
-    offset_m : (n,) from the centreline, positive to the right of rising measure.
-    foot_m : (n, 2) nearest place of the centreline. direction : (n, 2) of rising measure there.
-    """
-
-    road: Ints
-    station_m: Floats
-    offset_m: Floats
-    foot_m: Floats
-    direction: Floats
-
-    @property
-    def side(self) -> Ints:
-        """-1 left, +1 right, 0 on the centreline or unknown."""
-        away = np.nan_to_num(self.offset_m)
-        return np.where(np.abs(away) < 1e-6, 0, np.sign(away)).astype(np.int64)
-
-
-@dataclass(frozen=True)
 class Road:
     """Centreline of a road.
 
@@ -132,9 +108,8 @@ class Road:
     def bridged_edge_m(self, station_m: Floats, side: Ints) -> Floats:
         """As `edge_m`, carried over gaps of up to 100 m and on for 60 m beyond its ends."""
         station = np.asarray(station_m, np.float64)
-        left, right = (
-            _bridged(station, self.station_m, half) for half in (self.left_m, self.right_m)
-        )
+        left = _bridged(station, self.station_m, self.left_m)
+        right = _bridged(station, self.station_m, self.right_m)
         return np.where(np.asarray(side) < 0, left, right)
 
 
@@ -199,6 +174,30 @@ class Roads:
         return Located(self._road[piece], station, offset, foot, direction)
 
 
+@dataclass(frozen=True)
+class Located:
+    """Places along roads.
+
+    Parameters
+    ----------
+    road : (n,) number of the road, -1 for none. station_m : (n,) measure along its centreline.
+    offset_m : (n,) from the centreline, positive to the right of rising measure.
+    foot_m : (n, 2) nearest place of the centreline. direction : (n, 2) of rising measure there.
+    """
+
+    road: Ints
+    station_m: Floats
+    offset_m: Floats
+    foot_m: Floats
+    direction: Floats
+
+    @property
+    def side(self) -> Ints:
+        """-1 left, +1 right, 0 on the centreline or unknown."""
+        away = np.nan_to_num(self.offset_m)
+        return np.where(np.abs(away) < 1e-6, 0, np.sign(away)).astype(np.int64)
+
+
 def roads_of(tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None = None) -> Roads:
     """Roads that drives follow.
 
@@ -210,17 +209,37 @@ def roads_of(tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None =
     if len(tracks) == 0:
         return Roads([])
     labels = list(tracks.names if names is None else names)
-    lines = [_track_line(tracks, route) for route in range(len(labels))]
-    lines = [line if line is not None and len(line) > 2 else None for line in lines]
+    lines: dict[int, Floats] = {}
+    for route in range(len(labels)):
+        own = tracks.route == route
+        if own.sum() > 1:
+            lines[route] = np.concatenate([tracks.start_m[own], tracks.end_m[own][-1:]])
+    road_of = {n: n for n in lines}  # the first of its drives
+    for b, a in combinations(lines, 2):
+        if beside(lines[a], lines[b]):
+            low, high = sorted((road_of[a], road_of[b]))
+            road_of = {n: low if first == high else first for n, first in road_of.items()}
     found = []
-    for group in _groups(lines):
-        order = sorted(group, key=lambda n: (-round(_length_m(lines[n])), labels[n]))
-        first = lines[order[0]]
-        assert first is not None
-        name, drives = labels[order[0]], tuple(sorted(labels[n] for n in group))
+    for first in sorted(set(road_of.values())):
+        group = [n for n in lines if road_of[n] == first]
+        longest = min(group, key=lambda n: (-round(_length_m(lines[n])), labels[n]))
+        name, drives = labels[longest], tuple(sorted(labels[n] for n in group))
         told = f"from the first image of {name}, in its direction of travel"
-        found.append(road_along(first, edges_m, name, drives, told))
+        found.append(road_along(lines[longest], edges_m, name, drives, told))
     return Roads(found)
+
+
+def beside(a_m: Floats, b_m: Floats) -> bool:
+    """Whether much of the shorter of two drives runs beside the other."""
+    short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
+    apart, row = cKDTree(long).query(short)
+    cosine = np.abs((_ways(short) * _ways(long)[row]).sum(axis=1))
+    near = (apart <= BESIDE_M) & (cosine >= np.cos(np.radians(_BESIDE_DEG)))
+    return bool(near.mean() >= _BESIDE_SHARE)
+
+
+def _length_m(line: Floats) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def road_along(
@@ -273,64 +292,6 @@ def resampled(line_m: Floats, step_m: float) -> Floats:
     count = max(int(np.ceil(along[-1] / step_m)), 2)
     at = np.linspace(0.0, along[-1], count + 1)
     return np.column_stack([np.interp(at, along, c) for c in line.T])
-
-
-def _bridged(station: Floats, at: Floats, value: Floats) -> Floats:
-    """Values at stations, straight between known ones; NaN in gaps and far beyond the ends."""
-    known = np.isfinite(value)
-    if not known.any():
-        return np.full(len(station), np.nan)
-    at, value = at[known], value[known]
-    after = np.searchsorted(at, station)
-    low = np.r_[at[0] - _BEYOND_M, at][after]
-    high = np.r_[at, at[-1] + _BEYOND_M][after]
-    far = (station < low) | (station > high) | (high - low > _GAP_M)
-    return np.where(far, np.nan, np.interp(station, at, value))
-
-
-def _track_line(tracks: RouteTracks, route: int) -> Floats | None:
-    own = tracks.route == route
-    if not own.any():
-        return None
-    return np.concatenate([tracks.start_m[own], tracks.end_m[own][-1:]])
-
-
-def _length_m(line: Floats | None) -> float:
-    return 0.0 if line is None else float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
-def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
-    """Numbers of the drives of each road, by the first of them."""
-    owner = list(range(len(lines)))
-    for b, a in combinations(range(len(lines)), 2):
-        one, other = lines[a], lines[b]
-        if one is not None and other is not None and beside(one, other):
-            low, high = sorted((owner[a], owner[b]))
-            owner = [low if o == high else o for o in owner]
-    return [
-        [n for n, o in enumerate(owner) if o == root and lines[n] is not None]
-        for root in sorted(set(owner))
-        if any(o == root and lines[n] is not None for n, o in enumerate(owner))
-    ]
-
-
-def beside(a_m: Floats, b_m: Floats) -> bool:
-    """Whether much of the shorter of two drives runs beside the other."""
-    short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
-    apart, row = cKDTree(long).query(short)
-    cosine = np.abs((_ways(short) * _ways(long)[row]).sum(axis=1))
-    near = (apart <= BESIDE_M) & (cosine >= np.cos(np.radians(_BESIDE_DEG)))
-    return bool(near.mean() >= _BESIDE_SHARE)
-
-
-def _ways(line: Floats) -> Floats:
-    way = np.gradient(line, axis=0)
-    return way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
-
-
-def _rights(line: Floats) -> Floats:
-    way = _ways(line)
-    return np.column_stack([way[:, 1], -way[:, 0]])
 
 
 def _smooth(line: Floats) -> Floats:
@@ -419,7 +380,27 @@ def _usual_width(half: Floats, middle: Floats) -> Bools:
     return kept if kept.any() else good
 
 
-# Where along its routes' tracks a place lies.
+def _rights(line: Floats) -> Floats:
+    way = _ways(line)
+    return np.column_stack([way[:, 1], -way[:, 0]])
+
+
+def _ways(line: Floats) -> Floats:
+    way = np.gradient(line, axis=0)
+    return way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+
+
+def _bridged(station: Floats, at: Floats, value: Floats) -> Floats:
+    """Values at stations, straight between known ones; NaN in gaps and far beyond the ends."""
+    known = np.isfinite(value)
+    if not known.any():
+        return np.full(len(station), np.nan)
+    at, value = at[known], value[known]
+    after = np.searchsorted(at, station)
+    low = np.r_[at[0] - _BEYOND_M, at][after]
+    high = np.r_[at, at[-1] + _BEYOND_M][after]
+    far = (station < low) | (station > high) | (high - low > _GAP_M)
+    return np.where(far, np.nan, np.interp(station, at, value))
 
 
 class RouteTracks:

@@ -129,8 +129,7 @@ class Surroundings:
                     np.column_stack(sides),
                 )
         if road not in self._marked:
-            nothing = np.full((len(self.geometry(road)), len(LANE_COLUMNS)), np.nan)
-            return pd.DataFrame(nothing, columns=list(LANE_COLUMNS))
+            return _no_lanes(len(self.geometry(road)))
         return self._marked[road]
 
     def section(self, edge_m: Floats, outward: Floats, reach_m: float) -> CrossSection | None:
@@ -242,17 +241,8 @@ def station_sections(
                 section = surroundings.section(edges[row], outward[row], REACH_M)
                 if section is not None:
                     name = f"{road.name} {stations[row]:.0f} {word}"
-                    found.append(
-                        (
-                            name,
-                            number,
-                            float(stations[row]),
-                            side,
-                            edges[row],
-                            outward[row],
-                            section,
-                        )
-                    )
+                    place = (float(stations[row]), side, edges[row], outward[row])
+                    found.append((name, number, *place, section))
     return found
 
 
@@ -370,8 +360,7 @@ def lanes_at(surroundings: Surroundings, located: Located, known: pd.DataFrame) 
     known : lanes and lane_width_m of the inventory at each.
     """
     n = len(located.road)
-    marked = pd.DataFrame(np.full((n, len(LANE_COLUMNS)), np.nan), columns=list(LANE_COLUMNS))
-    paved = np.full(n, np.nan)
+    marked, paved = _no_lanes(n), np.full(n, np.nan)
     for number in np.unique(located.road[located.road >= 0]):
         geometry = surroundings.geometry(int(number))
         own = np.flatnonzero(located.road == number)
@@ -380,6 +369,10 @@ def lanes_at(surroundings: Surroundings, located: Located, known: pd.DataFrame) 
             marked.iloc[own] = surroundings.marked(int(number)).iloc[row].to_numpy()
             paved[own] = geometry["paved_width_m"].to_numpy()[row]
     return with_inventory(marked, known, paved)
+
+
+def _no_lanes(n: int) -> pd.DataFrame:
+    return pd.DataFrame(np.full((n, len(LANE_COLUMNS)), np.nan), columns=list(LANE_COLUMNS))
 
 
 def _nearest_rows(geometry: pd.DataFrame, station_m: Floats) -> Ints:
@@ -443,15 +436,9 @@ def runout_width_m(section: CrossSection | None, within_m: float) -> float:
     """
     if section is None:
         return 0.0
-    return float(
-        sum(
-            e.width_m
-            for e in section.elements
-            if e.kind == "foreslope"
-            and e.start_m < within_m
-            and RECOVERABLE_SLOPE < -e.slope <= TRAVERSABLE_SLOPE
-        )
-    )
+    fores = [e for e in section.elements if e.kind == "foreslope" and e.start_m < within_m]
+    steep = [e for e in fores if RECOVERABLE_SLOPE < -e.slope <= TRAVERSABLE_SLOPE]
+    return float(sum(e.width_m for e in steep))
 
 
 def first_trouble_m(section: CrossSection | None) -> float:
@@ -477,12 +464,8 @@ def nearest_ahead_m(
     """Least offset of the counted objects of the same side within a window; infinite if none."""
     least = np.full(len(road), np.inf)
     for number in range(len(road)):
-        near = (
-            counted
-            & (road == road[number])
-            & (side == side[number])
-            & (np.abs(station_m - station_m[number]) <= window_m / 2)
-        )
+        near = counted & (road == road[number]) & (side == side[number])
+        near &= np.abs(station_m - station_m[number]) <= window_m / 2
         if near.any():
             least[number] = float(np.nanmin(offset_m[near]))
     return least

@@ -169,8 +169,8 @@ def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> B
     none = Branches(np.empty((0, 2)), np.zeros(0, bool))
     if not len(tracks) or not len(pavement_m) or not len(edges_m):
         return none
-    cells = np.unique(np.floor(pavement_m / CELL_M).astype(np.int64), axis=0)
-    xy = np.asarray((cells + 0.5) * CELL_M, np.float64)
+    index = np.unique(np.floor(pavement_m / CELL_M).astype(np.int64), axis=0)
+    xy = np.asarray((index + 0.5) * CELL_M, np.float64)
     beyond = _beyond_m(tracks, xy, edges_m)
     out = np.flatnonzero((beyond > _BESIDE_M) & (beyond <= _REACH_M))
     if not len(out):
@@ -186,19 +186,14 @@ def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> B
     np.maximum.at(farthest, part, beyond)
     kept = (area >= _SMALLEST_M2) & (farthest >= _LEAST_REACH_M)
     kept &= nearest <= _BESIDE_M + 2 * CELL_M
-    roads = np.array([_is_road(beyond[part == number]) for number in range(len(area))], bool)
+    roads = np.zeros(len(area), bool)
+    for number in np.flatnonzero(farthest >= _ROAD_REACH_M):
+        cells = np.count_nonzero(beyond[part == number] > _MOUTH_M)
+        width = cells * CELL_M**2 / (farthest[number] - _MOUTH_M)
+        # Cells that are paved in part stand out half a cell on either side.
+        roads[number] = _ROAD_WIDTH_M[0] <= width - CELL_M <= _ROAD_WIDTH_M[1]
     own = kept[part]
     return Branches(xy[own], roads[part[own]])
-
-
-def _is_road(beyond_m: Floats) -> bool:
-    """Whether a branch goes on like a road, from the distances of its cells from the edge."""
-    reach = beyond_m.max()
-    if reach < _ROAD_REACH_M:
-        return False
-    width = np.count_nonzero(beyond_m > _MOUTH_M) * CELL_M**2 / (reach - _MOUTH_M)
-    # Cells that are paved in part stand out half a cell on either side.
-    return bool(_ROAD_WIDTH_M[0] <= width - CELL_M <= _ROAD_WIDTH_M[1])
 
 
 def _beyond_m(tracks: RouteTracks, xy_m: Floats, edges_m: Floats) -> Floats:

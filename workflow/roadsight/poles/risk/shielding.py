@@ -147,24 +147,18 @@ def _barrier_doubts(
     return found
 
 
-def runout_m(design_speed_kmh: float, aadt: float) -> float:
-    """Runout length, m (RDG table 5-10); speeds between rows take the next higher one."""
-    row = min(
-        int(np.searchsorted(_RUNOUT_SPEEDS_KMH, design_speed_kmh)), len(_RUNOUT_SPEEDS_KMH) - 1
-    )
-    return float(_RUNOUT_M[row, int(np.searchsorted(_RUNOUT_AADT, aadt, side="right"))])
+def barrier_ends(barriers: Sequence[Barrier]) -> pd.DataFrame:
+    """Ends of barriers as objects: id, kind, x, y (local metres).
 
-
-def length_of_need_m(reach_m: float, barrier_m: float, runout: float) -> float:
-    """Barrier ahead of an object (RDG chapter 5, without flare); 0 where none is needed.
-
-    Parameters
-    ----------
-    reach_m : LA, lateral reach of the object. barrier_m : L2, offset of the barrier.
+    Places at which a line was cut are no ends: the barrier goes on there.
     """
-    if reach_m <= 0 or barrier_m >= reach_m:
-        return 0.0
-    return runout * (1.0 - max(barrier_m, 0.0) / reach_m)
+    rows = [
+        (f"{barrier.name} {word}", "barrier end", *place)
+        for barrier in barriers
+        for word, place in zip(("start", "end"), barrier.ends_m, strict=True)
+        if np.isfinite(place).all()
+    ]
+    return pd.DataFrame(rows, columns=["id", "kind", "x", "y"])
 
 
 @dataclass(frozen=True)
@@ -200,15 +194,12 @@ def shielding(demand: Demand, barriers: Sequence[Barrier]) -> tuple[str, float, 
 
     Of several barriers before an object the one that shields it best counts.
     """
-    best: tuple[str, float, str] = ("none", float("nan"), "")
     order = ("none", "partial", "full")
+    found = [("none", float("nan"), "")]
     for barrier in barriers:
-        if barrier.road != demand.road or barrier.side != demand.side:
-            continue
-        found = _behind(demand, barrier)
-        if order.index(found[0]) > order.index(best[0]):
-            best = found
-    return best
+        if barrier.road == demand.road and barrier.side == demand.side:
+            found.append(_behind(demand, barrier))
+    return max(found, key=lambda one: order.index(one[0]))
 
 
 def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
@@ -245,15 +236,20 @@ def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
     return "full", offset, f"{told} along its length of need"
 
 
-def barrier_ends(barriers: Sequence[Barrier]) -> pd.DataFrame:
-    """Ends of barriers as objects: id, kind, x, y (local metres).
+def runout_m(design_speed_kmh: float, aadt: float) -> float:
+    """Runout length, m (RDG table 5-10); speeds between rows take the next higher one."""
+    row = int(np.searchsorted(_RUNOUT_SPEEDS_KMH, design_speed_kmh))
+    row = min(row, len(_RUNOUT_SPEEDS_KMH) - 1)
+    return float(_RUNOUT_M[row, int(np.searchsorted(_RUNOUT_AADT, aadt, side="right"))])
 
-    Places at which a line was cut are no ends: the barrier goes on there.
+
+def length_of_need_m(reach_m: float, barrier_m: float, runout: float) -> float:
+    """Barrier ahead of an object (RDG chapter 5, without flare); 0 where none is needed.
+
+    Parameters
+    ----------
+    reach_m : LA, lateral reach of the object. barrier_m : L2, offset of the barrier.
     """
-    rows = [
-        (f"{barrier.name} {word}", "barrier end", *place)
-        for barrier in barriers
-        for word, place in zip(("start", "end"), barrier.ends_m, strict=True)
-        if np.isfinite(place).all()
-    ]
-    return pd.DataFrame(rows, columns=["id", "kind", "x", "y"])
+    if reach_m <= 0 or barrier_m >= reach_m:
+        return 0.0
+    return runout * (1.0 - max(barrier_m, 0.0) / reach_m)
