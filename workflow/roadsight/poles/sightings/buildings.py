@@ -48,9 +48,8 @@ class Block:
 
 def block_cells(xyz_m: Floats) -> BlockCells:
     """Cells of returns (n, 3) of one class."""
-    index, own = np.unique(
-        np.floor(xyz_m[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True
-    )
+    cell = np.floor(xyz_m[:, :2] / CELL_M).astype(np.int64)
+    index, own = np.unique(cell, axis=0, return_inverse=True)
     own = own.ravel()
     top, low = np.full(len(index), -np.inf), np.full(len(index), np.inf)
     np.maximum.at(top, own, xyz_m[:, 2])
@@ -77,7 +76,15 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
     order = np.argsort(part, kind="stable")
     found = []
     for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
-        shapes = [shape for shape in _outlines(index[rows]) if _within(shape.area, kind.area_m2)]
+        # Single empty cells are filled, and a quarter of a metre is cut: a cell at the border is
+        # half full on average. What that parts are several objects, such as houses that touch at a
+        # corner; what it leaves nothing of keeps its hull.
+        low_m = index[rows] * CELL_M
+        whole = shapely.union_all(shapely.box(*low_m.T, *(low_m + CELL_M).T))
+        filled = shapely.buffer(whole, CELL_M, join_style="mitre")
+        inner = shapely.buffer(filled, -1.5 * CELL_M, join_style="mitre")
+        parted = shapely.get_parts(inner if not inner.is_empty else whole.convex_hull)
+        shapes = [shape for shape in parted if _within(shape.area, kind.area_m2)]
         if not shapes:
             continue
         middles = shapely.points((index[rows] + 0.5) * CELL_M)
@@ -93,20 +100,6 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
 
 def _within(value: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= value <= limits[1]
-
-
-def _outlines(index: Ints) -> list[shapely.Polygon]:
-    """Outlines of joined cells, single empty ones filled, a quarter of a metre inside.
-
-    A cell at the border is half full on average. What that parts are several objects, such as
-    houses that touch at a corner; what it leaves nothing of keeps its hull.
-    """
-    low = index * CELL_M
-    whole = shapely.union_all(shapely.box(*low.T, *(low + CELL_M).T))
-    filled = shapely.buffer(whole, CELL_M, join_style="mitre")
-    inner = shapely.buffer(filled, -1.5 * CELL_M, join_style="mitre")
-    shape = inner if not inner.is_empty else whole.convex_hull
-    return list(shapely.get_parts(shape))
 
 
 # Roofs in a cloud whose classes tell no buildings: plane, steady and well above the ground.

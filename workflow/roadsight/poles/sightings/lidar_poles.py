@@ -101,18 +101,15 @@ def find_pole_columns(
     # In order of place, so that the order of the returns does not matter.
     order = np.lexsort(points.T)
     points, height_m = points[order], height_m[order]
-    centres = _isolated(*_thinned(points[:, :2], height_m), settings)
-    return _placed(centres, points, height_m, settings.radius_m)
-
-
-def _thinned(xy: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """One point for each cell of the returns, so that density does not matter."""
-    cell = np.floor(np.column_stack([xy, height]) / _THIN_M).astype(np.int64)
+    # One point for each cell of the returns, so that density does not matter.
+    plan_and_height = np.column_stack([points[:, :2], height_m])
+    cell = np.floor(plan_and_height / _THIN_M).astype(np.int64)
     _, number = np.unique(cell, axis=0, return_inverse=True)
     number = number.ravel()
     weight = np.bincount(number)
-    mean = [np.bincount(number, values) / weight for values in (*xy.T, height)]
-    return np.column_stack(mean[:2]), mean[2]
+    mean = [np.bincount(number, values) / weight for values in plan_and_height.T]
+    centres = _isolated(np.column_stack(mean[:2]), mean[2], settings)
+    return _placed(centres, points, height_m, settings.radius_m)
 
 
 def _isolated(xy: Floats, height: Floats, settings: Columns) -> Floats:
@@ -176,7 +173,11 @@ def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) ->
     for number, centre in enumerate(centres):
         own = np.array(sorted(tree.query_ball_point(centre, radius_m)), np.int64)
         top = float(height[own].max())
-        hanging[number] = _hangs(height[own])
+        # A stem has returns anywhere between its foot and its top; several wires above each other,
+        # and tufts of crowns, have none below.
+        low = float(height[own].min())
+        share = (top - low) / (top - _LOWEST_M)
+        hanging[number] = low > _TRUNK_M and share ** len(own) < _CHANCE
         stem = own[height[own] <= max(top - _HEAD_M, 0.7 * top, _TRUNK_M)]
         stem = stem if len(stem) >= 2 else own
         xy, sigma, used = stem_axis(points[stem, :2])
@@ -185,17 +186,6 @@ def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) ->
     found = found[~hanging]
     rest = np.ascontiguousarray(np.column_stack([found[:, 2:], np.zeros(len(found))]).T)
     return PoleColumns(found[:, :2].copy(), *rest)
-
-
-def _hangs(height_m: Floats) -> bool:
-    """Whether returns of these heights above ground (n,) are too high up for a stem.
-
-    A stem has them anywhere between its foot and its top; several wires above each other, and
-    tufts of crowns, have none below.
-    """
-    low, top = float(height_m.min()), float(height_m.max())
-    share = (top - low) / (top - _LOWEST_M)
-    return low > _TRUNK_M and share ** len(height_m) < _CHANCE
 
 
 def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Bools, Floats
 
 _TUKEY = 4.685  # tuning constant of the bisquare: 95 % efficiency where errors are normal
 TO_SIGMA = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
@@ -242,7 +242,16 @@ def fuse_depths(
     used = np.isfinite(depth) & np.isfinite(sigma) & (sigma > 0)
     widened = 0.0
     while np.count_nonzero(used) > 1:
-        worst, score = _most_apart(depth, sigma, np.flatnonzero(used))
+        # Which one is furthest from the mean of the others, in their common sigmas.
+        worst, score = -1, -1.0
+        for one in np.flatnonzero(used):
+            others = used.copy()
+            others[one] = False
+            weights = 1.0 / sigma[others] ** 2
+            middle = np.sum(weights * depth[others]) / weights.sum()
+            apart = abs(depth[one] - middle) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
+            if apart > score:
+                worst, score = int(one), float(apart)
         if score <= agree_sigmas:
             break
         if np.count_nonzero(used) == 2:
@@ -255,19 +264,6 @@ def fuse_depths(
     weights = 1.0 / sigma[used] ** 2
     mean = float(np.sum(weights * depth[used]) / weights.sum())
     return mean, float(max(np.sqrt(1.0 / weights.sum()), widened)), used
-
-
-def _most_apart(depth: Floats, sigma: Floats, used: Ints) -> tuple[int, float]:
-    """Which used one is furthest from the mean of the others, in their common sigmas."""
-    worst, score = int(used[0]), -1.0
-    for one in used:
-        others = used[used != one]
-        weights = 1.0 / sigma[others] ** 2
-        mean = np.sum(weights * depth[others]) / weights.sum()
-        apart = abs(depth[one] - mean) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
-        if apart > score:
-            worst, score = int(one), float(apart)
-    return worst, score
 
 
 # Depth networks by camera: their distances held against those where feet meet the ground.

@@ -125,31 +125,6 @@ def _columns(thinned: Floats) -> Ints:
     return np.concatenate([column[:1], np.searchsorted(column, bounds)])
 
 
-@compiled_part()
-def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, near: Floats) -> int:
-    """Write the offsets (2, n) of the points within reach of a place, in their order; n of them."""
-    first = max(int(np.floor((x - reach_m) / _THIN_M)) - 1 - columns[0], 0)
-    last = min(int(np.floor((x + reach_m) / _THIN_M)) + 1 - columns[0], len(columns) - 3)
-    count = 0
-    for c in range(first, last + 1):
-        low, end = columns[c + 1], columns[c + 2]
-        high = end
-        while low < high:
-            middle = (low + high) // 2
-            if points[middle, 1] < y - reach_m:
-                low = middle + 1
-            else:
-                high = middle
-        for j in range(low, end):
-            if points[j, 1] > y + reach_m:
-                break
-            dx, dy = points[j, 0] - x, points[j, 1] - y
-            if dx * dx + dy * dy <= reach_m * reach_m:
-                near[0, count], near[1, count] = dx, dy
-                count += 1
-    return count
-
-
 @compiled()
 def _directions(
     points: Floats, columns: Ints, above: Floats, columns_above: Ints, ways: Floats
@@ -176,6 +151,31 @@ def _directions(
             if score > most:
                 most, best[i] = score, k
     return best
+
+
+@compiled_part()
+def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, near: Floats) -> int:
+    """Write the offsets (2, n) of the points within reach of a place, in their order; n of them."""
+    first = max(int(np.floor((x - reach_m) / _THIN_M)) - 1 - columns[0], 0)
+    last = min(int(np.floor((x + reach_m) / _THIN_M)) + 1 - columns[0], len(columns) - 3)
+    count = 0
+    for c in range(first, last + 1):
+        low, end = columns[c + 1], columns[c + 2]
+        high = end
+        while low < high:
+            middle = (low + high) // 2
+            if points[middle, 1] < y - reach_m:
+                low = middle + 1
+            else:
+                high = middle
+        for j in range(low, end):
+            if points[j, 1] > y + reach_m:
+                break
+            dx, dy = points[j, 0] - x, points[j, 1] - y
+            if dx * dx + dy * dy <= reach_m * reach_m:
+                near[0, count], near[1, count] = dx, dy
+                count += 1
+    return count
 
 
 @compiled_part()
@@ -221,9 +221,16 @@ def join_rails(returns: RailReturns) -> list[Floats]:
     """
     if len(returns.xyz_m) < 2:
         return []
-    pairs, length = _links(returns)
+    # Pairs of returns that follow each other on a rail.
+    pairs = cKDTree(returns.xyz_m[:, :2]).query_pairs(_LINK_M, output_type="ndarray")
+    step = returns.xyz_m[pairs[:, 1], :2] - returns.xyz_m[pairs[:, 0], :2]
+    ways = [returns.direction[pairs[:, k]] for k in (0, 1)]
+    good: Bools = np.abs((ways[0] * ways[1]).sum(axis=1)) >= _TURN_COS
+    for way in ways:
+        good &= np.abs(step[:, 0] * way[:, 1] - step[:, 1] * way[:, 0]) <= _ASIDE_M
+    length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-3)[good]
     size = len(returns.xyz_m)
-    ends = pairs[:, 0], pairs[:, 1]
+    ends = pairs[good, 0], pairs[good, 1]
     graph = coo_matrix((length, ends), shape=(size, size)).tocsr()
     _, part = connected_components(graph, directed=False)
     lines = []
@@ -235,18 +242,6 @@ def join_rails(returns: RailReturns) -> list[Floats]:
         if line is not None:
             lines.append(line if line[0, 0] <= line[-1, 0] else line[::-1].copy())
     return sorted(lines, key=lambda line: (line[0, 0], line[0, 1]))
-
-
-def _links(returns: RailReturns) -> tuple[Ints, Floats]:
-    """Pairs (m, 2) of returns that follow each other on a rail, and their distances."""
-    pairs = cKDTree(returns.xyz_m[:, :2]).query_pairs(_LINK_M, output_type="ndarray")
-    step = returns.xyz_m[pairs[:, 1], :2] - returns.xyz_m[pairs[:, 0], :2]
-    ways = [returns.direction[pairs[:, k]] for k in (0, 1)]
-    good: Bools = np.abs((ways[0] * ways[1]).sum(axis=1)) >= _TURN_COS
-    for way in ways:
-        good &= np.abs(step[:, 0] * way[:, 1] - step[:, 1] * way[:, 0]) <= _ASIDE_M
-    length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-3)
-    return pairs[good].astype(np.int64), length[good]
 
 
 def _longest_way(graph: csr_matrix) -> Ints:
