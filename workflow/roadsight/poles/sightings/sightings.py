@@ -44,7 +44,7 @@ _MODEL_SHARE = 0.05
 
 
 # What the published ways know of columns.
-NO_COLUMNS = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
+_NO_COLUMNS = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
 _SIGMA_AXIS_PX = 2.0  # error of an axis across; px of an image 1200 px high
 _SIGMA_FOOT_PX = 8.0  # error of a foot down such an image
 _SIGMA_GROUND_M = 0.1  # error of the camera's height above the terrain at a foot
@@ -97,9 +97,14 @@ def measure_view(
     """
     settings = settings or Sightings()
     kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
-    found = [one for kind in kinds for one in _instances(mask, kind, settings)]
+    found: list[Instance] = []
+    for kind in kinds:
+        published = settings.mask_rule == "published" and kind == "pole"
+        found += published_instances(mask) if published else find_instances(mask, kind, settings)
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
-    table = _pixels(found)
+    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px", "reason")
+    table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
+    table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
     if not found:
         return table
     if settings.distance == "published":
@@ -111,8 +116,9 @@ def measure_view(
     else:
         network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
     table["foot_visible"] = ~hidden
-    before = [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
-    prior, prior_sigma = np.array(before).T
+    prior, prior_sigma = np.array(
+        [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
+    ).T
     feet = table[["u_foot", "v_foot"]].to_numpy()
     width = table["width_px"].to_numpy()
     sigma_u = np.hypot(np.maximum(_SIGMA_AXIS_PX * scale, 0.5), 0.1 * width)
@@ -127,7 +133,7 @@ def measure_view(
     tops = np.where(panel, _rise(camera, table[["u_foot", "v_min"]]), np.nan)
     match = matching_columns(
         camera,
-        evidence.columns if settings.distance == "fused" else NO_COLUMNS,
+        evidence.columns if settings.distance == "fused" else _NO_COLUMNS,
         bearing,
         sigma,
         prior,
@@ -158,26 +164,6 @@ def measure_view(
         edge = _rise(camera, np.column_stack([middle, table[row]]))
         table[name] = np.where(panel, edge, np.nan)
     return _once_a_column(_judged(table, found, camera, settings), match)
-
-
-def _instances(mask: Bytes, kind: str, settings: Sightings) -> list[Instance]:
-    if settings.mask_rule == "published" and kind == "pole":
-        return published_instances(mask)
-    return find_instances(mask, kind, settings)
-
-
-def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
-    """Of things that end at one column, the tallest is the pole.
-
-    Those come first whose own distance says that they end there.
-    """
-    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
-    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
-    tall = tall.where(~own, tall + _TALLEST_PX)
-    best = tall.groupby([table["kind"], match]).transform("max")
-    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
-    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
-    return table
 
 
 def _own_distances(
@@ -213,13 +199,6 @@ def _rise(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
     """Rise per metre of plan (n,) of the rays of pixels (n, 2)."""
     rays = camera.rays(uv_px)
     return np.asarray(rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]), np.float64)
-
-
-def _pixels(found: Sequence[Instance]) -> pd.DataFrame:
-    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px", "reason")
-    table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
-    table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
-    return table
 
 
 def _stack(*pairs: NDArray) -> tuple[Floats, Floats]:
@@ -348,3 +327,17 @@ def _why_not(
     if too_low:
         return "too low"
     return "sign post" if post and one.touches_sign else ""
+
+
+def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
+    """Of things that end at one column, the tallest is the pole.
+
+    Those come first whose own distance says that they end there.
+    """
+    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
+    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
+    tall = tall.where(~own, tall + _TALLEST_PX)
+    best = tall.groupby([table["kind"], match]).transform("max")
+    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
+    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
+    return table

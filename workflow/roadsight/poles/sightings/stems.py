@@ -10,7 +10,7 @@ disc; that of a wall, a hedge or a car does not. Slices above each other are a p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -43,15 +43,6 @@ _NEAR_M = 0.6  # returns within this of the middle give the axis
 _SAME_M = 0.8  # a stem this near to a column is the same
 
 
-@dataclass(frozen=True)
-class _Discs:
-    """Discs of stems: slice (n,), place (n, 2) and returns (n,)."""
-
-    layer: Ints
-    xy_m: Floats
-    count: Floats
-
-
 def find_stems(
     xyz_m: Floats, above_ground_m: Floats, cls: NDArray, excluded_classes: Sequence[int] = NO_COLUMN
 ) -> PoleColumns:
@@ -76,17 +67,44 @@ def find_stems(
     if not len(points):
         return _columns([])
     layer = np.floor(height / _LAYER_M).astype(np.int64)
-    return _placed(_discs(points[:, :2], layer), points, height)
+    layers, places = _discs(points[:, :2], layer)
+    if not len(layers):
+        return _columns([])
+    # Chains of discs above each other: a step is one slice or two, and the less aside the more
+    # slices it takes.
+    near = cKDTree(np.column_stack([places / _SHIFT_M, 0.45 * layers]))
+    ends = near.query_pairs(1.0, output_type="ndarray").T
+    graph = coo_matrix((np.ones(ends.shape[1], bool), ends), shape=(len(layers), len(layers)))
+    chain = connected_components(graph, directed=False)[1]
+    plan = cKDTree(points[:, :2])
+    found = []
+    for number in np.flatnonzero(np.bincount(chain) >= _SLICES):
+        own = np.flatnonzero(chain == number)
+        # What follows above or below may lead away from the stem.
+        own = own[np.hypot(*(places[own] - np.median(places[own], axis=0)).T) <= _SHIFT_M]
+        middle = _middle(places[own], layers[own])
+        if middle is None:
+            continue
+        low, high = layers[own].min() * _LAYER_M, (layers[own].max() + 1) * _LAYER_M
+        rows = np.sort(np.array(plan.query_ball_point(middle, _NEAR_M), np.int64))
+        rows = rows[(height[rows] >= low) & (height[rows] < high)]
+        xy, sigma, agree = stem_axis(points[rows, :2])
+        # A place is no better than half of what its returns are smeared over.
+        smear = np.sqrt(((points[rows, :2] - xy) ** 2).sum(axis=1).mean() / 2)
+        ground = float(np.median(points[rows, 2] - height[rows]))
+        sigma = max(sigma, 0.5 * float(smear))
+        found.append((*xy, float(height[rows].max()), sigma, ground, agree))
+    return _columns(found)
 
 
-def _discs(xy: Floats, layer: Ints) -> _Discs:
-    """Places of each slice in which a disc holds most of what is around it."""
+def _discs(xy: Floats, layer: Ints) -> tuple[Ints, Floats]:
+    """Slices (n,) and places (n, 2) of discs that hold most of what is around them."""
     west_south = np.floor(xy.min(axis=0) / _CELL_M).astype(np.int64)
     cell = np.floor(xy / _CELL_M).astype(np.int64) - west_south
     columns, rows = (int(n) + 1 for n in cell.max(axis=0))
     flat = cell[:, 1] * columns + cell[:, 0]
     core, wide = _disc(_CORE_CELLS), _disc(_WIDE_CELLS).astype(np.uint8)
-    layers, places, counts = [], [], []
+    layers, places = [], []
     for number in np.unique(layer):
         own = flat[layer == number]
         count = np.bincount(own, minlength=rows * columns).reshape(rows, columns)
@@ -100,8 +118,7 @@ def _discs(xy: Floats, layer: Ints) -> _Discs:
         offset = [_summed(image, core * reach)[row, column] for reach in _reaches(_CORE_CELLS)]
         middle = np.column_stack(offset) / inner[row, column, None]
         places.append((np.column_stack([column, row]) + west_south + 0.5 + middle) * _CELL_M)
-        counts.append(inner[row, column])
-    return _Discs(np.concatenate(layers), np.concatenate(places), np.concatenate(counts))
+    return np.concatenate(layers), np.concatenate(places)
 
 
 def _dense_around(image: Floats32, inner: Floats32, row: Ints, column: Ints) -> Ints:
@@ -123,8 +140,9 @@ def _dense_around(image: Floats32, inner: Floats32, row: Ints, column: Ints) -> 
     return dense
 
 
-def _summed(image: Floats32, window: Floats32) -> Floats32:
-    return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
+def _disc(cells: int) -> Floats32:
+    x, y = _reaches(cells)
+    return (x * x + y * y <= cells * cells).astype(np.float32)
 
 
 def _reaches(cells: int) -> tuple[Floats32, Floats32]:
@@ -133,48 +151,8 @@ def _reaches(cells: int) -> tuple[Floats32, Floats32]:
     return x, y
 
 
-def _disc(cells: int) -> Floats32:
-    x, y = _reaches(cells)
-    return (x * x + y * y <= cells * cells).astype(np.float32)
-
-
-def _groups(pairs: Ints, size: int) -> Ints:
-    """Number of the connected part of each node."""
-    ones = np.ones(len(pairs), bool)
-    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
-def _placed(discs: _Discs, points: Floats, height: Floats) -> PoleColumns:
-    """Chains of discs above each other, each on the axis of its returns."""
-    if not len(discs.layer):
-        return _columns([])
-    # A step of one slice or two, and the less aside the more slices it takes.
-    tree = cKDTree(np.column_stack([discs.xy_m / _SHIFT_M, 0.45 * discs.layer]))
-    chain = _groups(tree.query_pairs(1.0, output_type="ndarray"), len(discs.layer))
-    plan = cKDTree(points[:, :2])
-    found = []
-    for number in np.flatnonzero(np.bincount(chain) >= _SLICES):
-        own = np.flatnonzero(chain == number)
-        # What follows above or below may lead away from the stem.
-        aside = discs.xy_m[own] - np.median(discs.xy_m[own], axis=0)
-        own = own[np.hypot(aside[:, 0], aside[:, 1]) <= _SHIFT_M]
-        middle = _middle(discs.xy_m[own], discs.layer[own])
-        if middle is None:
-            continue
-        low, high = discs.layer[own].min() * _LAYER_M, (discs.layer[own].max() + 1) * _LAYER_M
-        near = np.sort(np.array(plan.query_ball_point(middle, _NEAR_M), np.int64))
-        near = near[(height[near] >= low) & (height[near] < high)]
-        found.append(_stem(points[near], height[near]))
-    return _columns(found)
-
-
-def _stem(points: Floats, height: Floats) -> tuple[float, ...]:
-    """Row of a column; a place is no better than half of what its returns are smeared over."""
-    xy, sigma, agree = stem_axis(points[:, :2])
-    smear = np.sqrt(((points[:, :2] - xy) ** 2).sum(axis=1).mean() / 2)
-    ground = float(np.median(points[:, 2] - height))
-    return (*xy, float(height.max()), max(sigma, 0.5 * float(smear)), ground, agree)
+def _summed(image: Floats32, window: Floats32) -> Floats32:
+    return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _middle(xy: Floats, layer: Ints) -> Floats | None:
@@ -201,13 +179,8 @@ def with_stems(columns: PoleColumns, stems: PoleColumns) -> PoleColumns:
     if not len(columns) or not len(stems):
         return stems if not len(columns) else columns
     gap, _ = cKDTree(columns.xy_m).query(stems.xy_m)
-    new = gap > _SAME_M
-    return PoleColumns(
-        *(
-            np.concatenate([getattr(columns, f.name), getattr(stems, f.name)[new]])
-            for f in fields(columns)
-        )
-    )
+    both = zip(vars(columns).values(), vars(stems).values(), strict=True)
+    return PoleColumns(*(np.concatenate([ours, more[gap > _SAME_M]]) for ours, more in both))
 
 
 # How pole-like columns lean, and the arms near their tops, from their returns.
@@ -217,7 +190,7 @@ _LOWEST_M = 1.0  # returns below this may be of grass, shrubs and fences
 _HEAD_M = 1.7
 # Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
 # from end to end.
-_NEAR_M_STEM_SHAPES = 0.6
+_BESIDE_AXIS_M = 0.6
 # Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart.
 _FEWEST = 8
 _LEAST_SPAN_M = 2.0  # height between its lowest and highest return, the same
@@ -244,7 +217,7 @@ _WIRE_WIDE_M = 0.3
 _BESIDE_WIRE_DEG = 20.0  # returns this near to a wire's direction may be its own
 _FEWEST_OF_ARM = 3  # returns that make an arm, or a wire
 _STEP_DEG = 3.0  # step of the directions in which arms are looked for
-_DIRECTIONS_STEM_SHAPES = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
+_TURNS_RAD = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
 
 
 @dataclass(frozen=True)
@@ -319,7 +292,7 @@ def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
 def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
     """Slope (2,) of a stem, metres aside per metre up, its sigma, and its place at height 0."""
     unknown = np.full(2, np.nan)
-    stem = (np.hypot(*points[:, :2].T) <= _NEAR_M_STEM_SHAPES) & (points[:, 2] <= top_m - _HEAD_M)
+    stem = (np.hypot(*points[:, :2].T) <= _BESIDE_AXIS_M) & (points[:, 2] <= top_m - _HEAD_M)
     xy, height = points[stem, :2], points[stem, 2]
     if len(height) < _FEWEST or np.ptp(height) < _LEAST_SPAN_M:
         return unknown, float("nan"), unknown
@@ -335,16 +308,6 @@ def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
     noise = np.sqrt(squares / (2 * own.sum() - 4 + 2 * _SURFACE_WORTH))
     spread = np.sqrt(((height[own] - height[own].mean()) ** 2).sum())
     return line[1], float(np.hypot(noise / spread, _without_one(design[own], xy[own]))), line[0]
-
-
-def _without_one(design: Floats, xy: Floats) -> float:
-    """Sigma of a slope by the jackknife: how much hangs on single returns (Efron 1982)."""
-    square = np.linalg.inv(design.T @ design)
-    gain = design @ square
-    residual = xy - gain @ (design.T @ xy)
-    shift = gain[:, 1:] * residual / (1.0 - (gain * design).sum(axis=1))[:, None]
-    n = len(xy)
-    return float(np.sqrt((n - 1) / n * ((shift - shift.mean(axis=0)) ** 2).sum() / 2))
 
 
 def _start(xy: Floats, height: Floats) -> Floats:
@@ -364,30 +327,37 @@ def _start(xy: Floats, height: Floats) -> Floats:
     return np.stack([start[best], slope[best]])
 
 
+def _without_one(design: Floats, xy: Floats) -> float:
+    """Sigma of a slope by the jackknife: how much hangs on single returns (Efron 1982)."""
+    square = np.linalg.inv(design.T @ design)
+    gain = design @ square
+    residual = xy - gain @ (design.T @ xy)
+    shift = gain[:, 1:] * residual / (1.0 - (gain * design).sum(axis=1))[:, None]
+    n = len(xy)
+    return float(np.sqrt((n - 1) / n * ((shift - shift.mean(axis=0)) ** 2).sum() / 2))
+
+
 def _arm(points: Floats, top_m: float) -> tuple[float, float]:
     """Reach of the longest arm, NaN where none is seen, and its sides."""
     xy = points[points[:, 2] >= top_m - _ARM_HEIGHT_M, :2]
-    way = np.stack([np.sin(_DIRECTIONS_STEM_SHAPES), np.cos(_DIRECTIONS_STEM_SHAPES)])
+    way = np.stack([np.sin(_TURNS_RAD), np.cos(_TURNS_RAD)])
     along, across = xy @ way, np.abs(xy @ np.stack([way[1], -way[0]]))
     far = (along >= _WIRE_M[0]) & (along <= _WIRE_M[1]) & (across <= _WIRE_WIDE_M)
     beside = int(_BESIDE_WIRE_DEG / _STEP_DEG)
     wire = far.sum(axis=0) >= _FEWEST_OF_ARM
     wire = np.any([np.roll(wire, turn) for turn in range(-beside, beside + 1)], axis=0)
     inside = (along >= _ARM_BEGINS_M) & (along <= _ARM_ENDS_M) & (across <= _ARM_WIDE_M)
-    found = [_half(along[own, number]) for number, own in enumerate(inside.T)]
+    found = []  # number of returns of an arm before its first gap, and how far they go
+    for number, own in enumerate(inside.T):
+        arm = np.sort(along[own, number])
+        gaps = np.flatnonzero(np.diff(arm, prepend=0.0) > _ARM_GAP_M)
+        arm = arm[: gaps[0]] if len(gaps) else arm
+        found.append((len(arm), float(arm[-1]) if len(arm) else 0.0))
     count, reach = np.where(wire, 0.0, np.transpose(found))
-    half = len(_DIRECTIONS_STEM_SHAPES) // 2
+    half = len(_TURNS_RAD) // 2
     both = count + np.roll(count, half)
     best = int(np.argmax(np.where(count >= np.roll(count, half), both, 0.0)))
     if count[best] < _FEWEST_OF_ARM:
         return float("nan"), 0.0
-    other = (best + half) % len(_DIRECTIONS_STEM_SHAPES)
+    other = (best + half) % len(_TURNS_RAD)
     return float(max(reach[best], reach[other])), 2.0 if count[other] >= 2 else 1.0
-
-
-def _half(along_m: Floats) -> tuple[int, float]:
-    """Number of returns of an arm before its first gap, and how far they go."""
-    own = np.sort(along_m)
-    gaps = np.flatnonzero(np.diff(own, prepend=0.0) > _ARM_GAP_M)
-    own = own[: gaps[0]] if len(gaps) else own
-    return len(own), float(own[-1]) if len(own) else 0.0
