@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
+from roadsight.poles.triangulate.explain import explain_rays
 from roadsight.poles.triangulate.locate import (
-    calibrate_depths,
     choose_groups,
     drop_near_structures,
     error_ellipse,
@@ -153,8 +153,9 @@ def test_empty_and_single_rows():
 def test_depth_scale_is_found_from_the_crossings():
     _, rows = street(poles=30, noise_depth=0.15, gap_m=5.0)
     rows[:, 3] /= 1.4
-    assert calibrate_depths(rays_of(rows), FINE) == pytest.approx(1.4, rel=0.1)
-    assert calibrate_depths(rays_of(rows[:12]), FINE) == 1.0
+    calibrating = FINE.model_copy(update={"calibrate_depth": True})
+    assert explain_rays(rays_of(rows), calibrating).scale == pytest.approx(1.4, rel=0.1)
+    assert explain_rays(rays_of(rows[:12]), calibrating).scale == 1.0
 
 
 def test_group_place_is_the_least_squares_place(rng):

@@ -141,7 +141,7 @@ def depth_ratios(rays: Rays, members: Ints) -> Floats:
 
 # The set of poles that explains the rays best: greedy first, then improved by exchange.
 
-_ROUNDS_EXCHANGE = 6  # rounds of exchange between poles at most; most streets rest after three
+_EXCHANGES = 6  # rounds of exchange between poles at most; most streets rest after three
 # Two sets of poles whose evidence differs by less are equal: sums round more than terms.
 _BETTER = 1e-6
 
@@ -157,7 +157,7 @@ def associate(grower: Grower) -> list[Pole]:
     free = np.ones(len(grower.rays), bool)
     seeds = grower.seeds()
     poles, others = take_best(grower, seeds, free)
-    for _ in range(_ROUNDS_EXCHANGE):
+    for _ in range(_EXCHANGES):
         before = [pole.key for pole in poles]
         poles = _insert(grower, _merge(grower, _exchange(grower, poles)), others)
         free[:] = True
@@ -177,7 +177,8 @@ def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
     rays = grower.rays
     tree = cKDTree([[pole.x, pole.y] for pole in poles])
     members: list[list[int]] = [[] for _ in poles]
-    for own in _by_image(rays):
+    by_image = np.argsort(rays.image, kind="stable")
+    for own in np.split(by_image, np.flatnonzero(np.diff(rays.image[by_image])) + 1):
         around = sorted(tree.query_ball_point(rays.camera_m[own[0]], grower.model.reach_m))
         if not around:
             continue
@@ -194,12 +195,6 @@ def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
         if again is not None:
             kept.append(again)
     return in_order(kept)
-
-
-def _by_image(rays: Rays) -> list[Ints]:
-    """Ray numbers of each image."""
-    order = np.argsort(rays.image, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(rays.image[order])) + 1)
 
 
 def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
@@ -346,12 +341,27 @@ def likelihood(
     free = ~rays.anchored
     angle = np.where(free, noise.bearing_rad, np.radians(settings.sigma_bearing_deg))
     angle = np.where(np.isnan(rays.sigma_bearing_deg), angle, np.radians(rays.sigma_bearing_deg))
-    stated = np.hypot(_ratio(rays), np.where(free, noise.hidden_ratio, 0.0))
+    stated = np.nan_to_num(rays.sigma_depth_m / rays.depth_m, nan=1.0)
+    stated = np.hypot(stated, np.where(free, noise.hidden_ratio, 0.0))
     ratio = np.where(np.isnan(rays.sigma_depth_m), noise.depth_ratio, stated)
-    middle, spread = _depths(log_depth[~unknown], settings.max_distance_m)
+    # Logarithms of depths; guesses where none is known.
+    middle, spread = float(np.log(settings.max_distance_m / 2)), 0.5
+    if not unknown.all():
+        middle = float(np.median(log_depth[~unknown]))
+        spread = max(float(np.std(log_depth[~unknown])), _LEAST_SPREAD)
     used = sum(len(pole.members) for pole in poles)
     count = len(poles) + _LONE * (len(rays) - used) if poles else len(rays) / _RAYS_A_POLE
-    density = max(count, 1.0) / _ground_m2(rays, float(np.exp(middle + spread)))
+    # Ground that the images see: a disc each, parted among the images inside it.
+    _, first = np.unique(rays.image, return_index=True)
+    places, radius_m = rays.camera_m[first], float(np.exp(middle + spread))
+    inside = cKDTree(places).query_ball_point(places, radius_m, return_length=True)
+    density = max(count, 1.0) / float((np.pi * radius_m**2 / inside).sum())
+    # Strays: at any bearing, with depths like those of all rays.
+    n = len(rays)
+    strays = min(max(n - used, 0) + _STRAYS_LEAST * n, _STRAYS_MOST * n)
+    rate = (strays if used else _STRAYS_FIRST * n) / len(first)
+    by_depth = -0.5 * ((log_depth - middle) / spread) ** 2 - np.log(spread * np.sqrt(2 * np.pi))
+    stray = np.log(rate / (2 * np.pi)) + np.where(unknown, 0.0, by_depth)
     seen = shares_seen(rays, poles, near, settings.max_distance_m)
     missed = np.log1p(-seen)
     return Likelihood(
@@ -362,7 +372,7 @@ def likelihood(
         np.clip(ratio, *_SIGMAS),
         np.where(free, noise.position_m, 0.0),
         log_depth,
-        _stray_density(rays, used, unknown, (log_depth - middle) / spread, spread),
+        stray,
         missed,
         np.log(seen) - missed,
         float(np.log(density) - settings.pole_evidence),
@@ -370,37 +380,6 @@ def likelihood(
         settings.max_distance_m,
         settings.min_baseline_m,
     )
-
-
-def _ratio(rays: Rays) -> Floats:
-    """Sigma of the logarithm of a depth; 1 where unknown."""
-    return np.nan_to_num(rays.sigma_depth_m / rays.depth_m, nan=1.0)
-
-
-def _depths(log_depth: Floats, reach_m: float) -> tuple[float, float]:
-    """Middle and spread of the logarithms of known depths; guesses where there are none."""
-    if not len(log_depth):
-        return float(np.log(reach_m / 2)), 0.5
-    return float(np.median(log_depth)), max(float(np.std(log_depth)), _LEAST_SPREAD)
-
-
-def _stray_density(rays: Rays, used: int, unknown: Bools, away: Floats, spread: float) -> Floats:
-    """Log density of each ray as a stray: any bearing, a depth like that of all rays."""
-    n = len(rays)
-    strays = min(max(n - used, 0) + _STRAYS_LEAST * n, _STRAYS_MOST * n)
-    if used == 0:
-        strays = _STRAYS_FIRST * n
-    rate = strays / len(np.unique(rays.image))
-    depth = -0.5 * away**2 - np.log(spread * np.sqrt(2 * np.pi))
-    return np.log(rate / (2 * np.pi)) + np.where(unknown, 0.0, depth)
-
-
-def _ground_m2(rays: Rays, radius_m: float) -> float:
-    """Ground that the images see: a disc each, parted among the images inside it."""
-    _, first = np.unique(rays.image, return_index=True)
-    tree = cKDTree(rays.camera_m[first])
-    inside = tree.query_ball_point(rays.camera_m[first], radius_m, return_length=True)
-    return float((np.pi * radius_m**2 / inside).sum())
 
 
 def shares_seen(rays: Rays, poles: list[Pole], near: Neighbours, reach_m: float) -> Floats:

@@ -65,7 +65,15 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     scale : what depths were multiplied by; 1 if not calibrated.
     """
     if settings.method == "sweep":
-        return *_swept(rays, settings), 1.0
+        labels, places = swept_poles(rays, settings)
+        order = np.lexsort((places[:, 1], places[:, 0]))
+        number = np.append(np.argsort(order), -1)
+        unknown = dict.fromkeys(POLE_COLUMNS[3:-2], np.nan)
+        views = np.bincount(labels[labels >= 0], minlength=len(places))
+        poles = pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "score": views}).iloc[order]
+        poles = poles.reset_index(drop=True).assign(**unknown, kept=True, reason="")
+        poles = poles.assign(evidence=np.nan).astype({"kept": bool, "reason": object})
+        return poles, number[labels], 1.0
     if settings.method == "listing":
         groups, places, covariances, scale = choose_listed(rays, settings)
         evidence = np.full(len(groups), np.nan)
@@ -79,23 +87,6 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
         pole[members] = number
     poles = describe_groups(groups, places, covariances, settings)
     return poles.assign(evidence=evidence), pole, scale
-
-
-def _swept(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints]:
-    """Poles by the pole study's method, from west to east, and the pole of each ray."""
-    labels, places = swept_poles(rays, settings)
-    order = np.lexsort((places[:, 1], places[:, 0]))
-    number = np.append(np.argsort(order), -1)
-    unknown = dict.fromkeys(POLE_COLUMNS[3:-2], np.nan)
-    views = np.bincount(labels[labels >= 0], minlength=len(places))
-    poles = pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "score": views}).iloc[order]
-    poles = poles.reset_index(drop=True).assign(**unknown, kept=True, reason="", evidence=np.nan)
-    return poles.astype({"kept": bool, "reason": object}), number[labels]
-
-
-def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:
-    """Factor that brings the monocular depths to the distances of the crossings; 1 if unknown."""
-    return explain_rays(rays, settings.model_copy(update={"calibrate_depth": True})).scale
 
 
 def error_ellipse(covariance: Floats) -> tuple[Floats, Floats, Floats]:
@@ -241,7 +232,14 @@ def choose_listed(
     rays: Rays, settings: TriangulationSettings
 ) -> tuple[list[Ints], Floats, Floats, float]:
     """Groups from west to east, their places (g, 2), covariances (g, 2, 2), and depth scale."""
-    scale = _calibrated(rays, settings) if settings.calibrate_depth else 1.0
+    # The factor of the depths is found by turns of grouping and scaling.
+    scale = 1.0
+    for _ in range(_ROUNDS if settings.calibrate_depth else 0):
+        latest = depth_scale(rays, group_rays(rays.scaled(scale), settings), 1.0)
+        settled = abs(latest / scale - 1) < _SETTLED
+        scale = latest
+        if settled:
+            break
     scaled = rays.scaled(scale)
     groups = group_rays(scaled, settings)
     return groups, *places_of(locate_points(scaled, settings), groups), scale
@@ -258,18 +256,6 @@ def group_rays(rays: Rays, settings: TriangulationSettings) -> list[Ints]:
     points = locate_points(rays, settings)
     merged = merge_groups(rays, points, chosen, settings)
     return sorted(merged, key=lambda group: tuple(weighted_mean(points, group)[0]))
-
-
-def _calibrated(rays: Rays, settings: TriangulationSettings) -> float:
-    """Factor of the depths, by turns of grouping and scaling; 1 without enough views."""
-    scale = 1.0
-    for _ in range(_ROUNDS):
-        groups = group_rays(rays.scaled(scale), settings)
-        latest = depth_scale(rays, groups, 1.0)
-        if abs(latest / scale - 1) < _SETTLED:
-            return latest
-        scale = latest
-    return scale
 
 
 # Which groups of rays are poles: the most valuable set in which every ray is used at most once.

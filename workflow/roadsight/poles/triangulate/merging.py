@@ -111,7 +111,10 @@ def _first_merge(
             continue
         if chi2[number] > SAME_CHI2 and not follows_sequence(rays, members, settings.sequence_m):
             continue
-        if _misfit(points, members) <= 0.5 * settings.gate_chi2 * len(members):
+        # Half the chi squared at the best place.
+        rest = points.place_m[members] - weighted_mean(points, members)[0]
+        cost = 0.5 * np.einsum("ki,kij,kj->", rest, points.information[members], rest)
+        if float(cost) <= 0.5 * settings.gate_chi2 * len(members):
             return first, second
     return None
 
@@ -125,13 +128,6 @@ def _near_pairs(
     gap = places[pairs[:, 0]] - places[pairs[:, 1]]
     spread = covariances[pairs[:, 0]] + covariances[pairs[:, 1]]
     return pairs, np.einsum("ni,ni->n", gap, np.linalg.solve(spread, gap[:, :, None])[:, :, 0])
-
-
-def _misfit(points: Points, members: Ints) -> float:
-    """Half the chi squared of a group at its best place."""
-    place, _ = weighted_mean(points, members)
-    rest = points.place_m[members] - place
-    return float(0.5 * np.einsum("ki,kij,kj->", rest, points.information[members], rest))
 
 
 # Groups of rays that may show one pole, with the place that suits each group best.
@@ -234,12 +230,13 @@ def build_groups(rays: Rays, settings: TriangulationSettings) -> list[Groups]:
     pairs = pair_rays(rays, settings)
     level, fits = fit_groups(rays, points, pairs, settings)
     level = level.take(fits & (level.cost <= settings.gate_chi2))
-    links = _Links(level.members, len(rays))
+    pairs = level.members
+    keys = np.sort(pairs[:, 0] * len(rays) + pairs[:, 1])
     levels = []
     while len(level.members):
         level = _best_for_each_ray(level, len(rays), settings)
         levels.append(level)
-        members = links.extend(level.members)
+        members = _extended(level.members, keys, len(rays))
         level, fits = fit_groups(rays, points, members, settings)
         most = _GROWTH * members.shape[1] * settings.gate_chi2 / 2
         level = level.take(fits & (level.cost <= most))
@@ -252,28 +249,25 @@ def gains(groups: Groups, settings: TriangulationSettings) -> Floats:
     return size * settings.gate_chi2 / 2 - groups.cost - settings.pole_cost
 
 
-class _Links:
-    """Which rays pair with which."""
+def _extended(members: Ints, keys: Ints, rays: int) -> Ints:
+    """Each group with each later ray that pairs with all of it.
 
-    def __init__(self, pairs: Ints, rays: int) -> None:
-        self._rays = rays
-        self._keys = np.sort(pairs[:, 0] * rays + pairs[:, 1])
-        self._second = self._keys % max(rays, 1)
-        self._start = np.searchsorted(self._keys, np.arange(rays + 1) * rays)
-
-    def extend(self, members: Ints) -> Ints:
-        """Each group with each later ray that pairs with all of it."""
-        last = members[:, -1]
-        counts = self._start[last + 1] - self._start[last]
-        group = np.repeat(np.arange(len(members)), counts)
-        within = np.arange(len(group)) - np.repeat(np.cumsum(counts) - counts, counts)
-        later = self._second[self._start[last[group]] + within]
-        keep = np.ones(len(group), bool)
-        for column in members[:, :-1].T:
-            keys = column[group] * self._rays + later
-            found = np.searchsorted(self._keys, keys)
-            keep &= self._keys[np.minimum(found, len(self._keys) - 1)] == keys
-        return np.column_stack([members[group[keep]], later[keep]])
+    Parameters
+    ----------
+    keys : of the pairs, ascending: the number of the first ray times all rays, plus the second's.
+    """
+    start = np.searchsorted(keys, np.arange(rays + 1) * rays)
+    last = members[:, -1]
+    counts = start[last + 1] - start[last]
+    group = np.repeat(np.arange(len(members)), counts)
+    within = np.arange(len(group)) - np.repeat(np.cumsum(counts) - counts, counts)
+    later = (keys % rays)[start[last[group]] + within]
+    keep = np.ones(len(group), bool)
+    for column in members[:, :-1].T:
+        wanted = column[group] * rays + later
+        found = np.searchsorted(keys, wanted)
+        keep &= keys[np.minimum(found, len(keys) - 1)] == wanted
+    return np.column_stack([members[group[keep]], later[keep]])
 
 
 def _best_for_each_ray(groups: Groups, rays: int, settings: TriangulationSettings) -> Groups:

@@ -138,6 +138,19 @@ def fit_noise(
     return Noise(np.exp(log_variances))
 
 
+def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:
+    """Slope (6,) and expected curvature (6, 6) of the restricted log likelihood."""
+    design = _repeated(block.rest_m.shape[1] // 2)
+    weights = np.linalg.inv(block.covariance(noise))
+    seen = weights @ design
+    # What is left of the weights once the place has taken its part.
+    rest = weights - seen @ np.linalg.inv(design.T @ seen) @ seen.transpose(0, 2, 1)
+    pull = np.einsum("gij,gj->gi", rest, block.rest_m)
+    felt = rest[None] @ block.parts
+    slope = np.einsum("gi,pgij,gj->p", pull, block.parts, pull) - np.einsum("pgii->p", felt)
+    return 0.5 * slope, 0.5 * np.einsum("pgij,qgji->pq", felt, felt)
+
+
 def place_groups(
     rays: Rays,
     groups: Sequence[Ints],
@@ -163,6 +176,18 @@ def place_groups(
             placed[at] += (covariance @ pull)[:, :, 0]
         covariances[at] = covariance
     return placed, covariances
+
+
+def _by_size(groups: Sequence[Ints], least: int = 1) -> list[tuple[Ints, Ints]]:
+    """Numbers of the groups of each size, and their rays (g, k)."""
+    sizes = np.array([len(members) for members in groups], np.int64)
+    found = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes >= least])]
+    return [(at, np.stack([groups[number] for number in at.tolist()])) for at in found]
+
+
+def _repeated(size: int) -> Floats:
+    """Design (2 k, 2): every ray's point is the place."""
+    return np.tile(np.eye(2), (size, 1))
 
 
 def misfits(
@@ -223,7 +248,6 @@ def misfits(
     # it. What hides a foot adds to any depth.
     turn_sigma = np.nan_to_num(own_turn)
     turned = np.radians(rays.turned_deg[members])
-    ways = rays.drift_m[members], rays.aside_m[members]
     own = np.radians(rays.own_deg[members])
     rest = np.where(np.isnan(own), turn_sigma, own)
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * rest), across)
@@ -232,8 +256,11 @@ def misfits(
     near = drive * np.exp(-apart / _DRIFT_M) * _pairs(free)
     for number, alike in enumerate((drive * _pairs(free), drive * _pairs(free), near)):
         fixed += _spread(alike * _pairs(turned[..., number]), across)
-    for way in ways:
-        fixed += _spread(near * _one_way(way), way)
+    for way in (rays.drift_m[members], rays.aside_m[members]):
+        # How alike, by sign: ahead on the way out is astern on the way back.
+        length = np.hypot(way[..., 0], way[..., 1])[..., None]
+        unit = np.divide(way, length, out=np.zeros_like(way), where=length > 0)
+        fixed += _spread(near * (unit @ unit.swapaxes(1, 2)), way)
     # Of a bearing that image and column tell together, what the image tells is the ray's own.
     column = np.divide(turn_sigma, stated_depth, out=np.ones_like(r), where=stated_depth > 0)
     column = np.minimum(column, 1.0) ** 2
@@ -245,16 +272,6 @@ def misfits(
     fixed += np.einsum("giac,gjbc->giajb", column_m, column_m).reshape(fixed.shape)
     fixed += _FLOOR_M2 * np.eye(2 * size)
     return Misfits(rest_m.reshape(groups, -1), np.stack(parts), fixed)
-
-
-def _one_way(way_m: Floats) -> Floats:
-    """How alike errors along ways (g, k, 2) are (g, k, k), by sign.
-
-    Ahead on the way out is astern on the way back.
-    """
-    length = np.hypot(way_m[..., 0], way_m[..., 1])[..., None]
-    ahead = np.divide(way_m, length, out=np.zeros_like(way_m), where=length > 0)
-    return np.asarray(ahead @ ahead.swapaxes(1, 2))
 
 
 def _pairs(factor: Floats) -> Floats:
@@ -270,28 +287,3 @@ def _spread(correlation: Floats, direction: Floats) -> Floats:
     else:
         blocks = np.einsum("gij,giab->giajb", correlation, direction)
     return blocks.reshape(groups, 2 * size, 2 * size)
-
-
-def _repeated(size: int) -> Floats:
-    """Design (2 k, 2): every ray's point is the place."""
-    return np.tile(np.eye(2), (size, 1))
-
-
-def _by_size(groups: Sequence[Ints], least: int = 1) -> list[tuple[Ints, Ints]]:
-    """Numbers of the groups of each size, and their rays (g, k)."""
-    sizes = np.array([len(members) for members in groups], np.int64)
-    found = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes >= least])]
-    return [(at, np.stack([groups[number] for number in at.tolist()])) for at in found]
-
-
-def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:
-    """Slope (6,) and expected curvature (6, 6) of the restricted log likelihood."""
-    design = _repeated(block.rest_m.shape[1] // 2)
-    weights = np.linalg.inv(block.covariance(noise))
-    seen = weights @ design
-    # What is left of the weights once the place has taken its part.
-    rest = weights - seen @ np.linalg.inv(design.T @ seen) @ seen.transpose(0, 2, 1)
-    pull = np.einsum("gij,gj->gi", rest, block.rest_m)
-    felt = rest[None] @ block.parts
-    slope = np.einsum("gi,pgij,gj->p", pull, block.parts, pull) - np.einsum("pgii->p", felt)
-    return 0.5 * slope, 0.5 * np.einsum("pgij,qgji->pq", felt, felt)

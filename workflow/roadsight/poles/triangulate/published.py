@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -109,52 +108,35 @@ def sweep_links(
     rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
         first, then one of its links; None visits each link once, in order, as the study's code.
     """
-    depth = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth)
-    state = _State(links, depth, energy)
-    if rng is not None:
-        for ray in rng.integers(0, len(depth), _SWEEPS * len(depth)):
-            if len(state.of_ray[ray]):
-                state.visit(state.of_ray[ray][rng.integers(0, len(state.of_ray[ray]))])
-        return state.on
-    for link in range(len(links.pairs)):
-        state.visit(link)
-    return state.on
+    depths = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth).tolist()
+    pairs, along = links.pairs.tolist(), links.along.tolist()
+    on = np.zeros(len(pairs), bool)
+    of_ray: list[list[int]] = [[] for _ in depths]
+    for link, (first, second) in enumerate(pairs):
+        of_ray[first].append(link)
+        of_ray[second].append(link)
 
-
-class _State:
-    """Links that are on, and what switching one changes."""
-
-    def __init__(self, links: Links, depth: Floats, energy: Energy) -> None:
-        self.on = np.zeros(len(links.pairs), bool)
-        self.of_ray: list[list[int]] = [[] for _ in depth]
-        for link, (first, second) in enumerate(links.pairs.tolist()):
-            self.of_ray[first].append(link)
-            self.of_ray[second].append(link)
-        self._pairs = links.pairs.tolist()
-        self._along = links.along.tolist()
-        self._depth = depth.tolist()
-        self._energy = energy
-
-    def visit(self, link: int) -> None:
-        """Switch a link if the energy of its two rays does not rise."""
-        before = sum(self._of(ray) for ray in self._pairs[link])
-        self.on[link] = not self.on[link]
-        after = sum(self._of(ray) for ray in self._pairs[link])
-        if after > before:
-            self.on[link] = not self.on[link]
-
-    def _of(self, ray: int) -> float:
-        """Energy of one ray."""
-        reach = [
-            self._along[link][0 if self._pairs[link][0] == ray else 1]
-            for link in self.of_ray[ray]
-            if self.on[link]
-        ]
+    def energy_of(ray: int) -> float:
+        reach = [along[link][0 if pairs[link][0] == ray else 1] for link in of_ray[ray] if on[link]]
         if not reach:
-            return self._energy.lonely
-        misfit = sum(abs(distance - self._depth[ray]) for distance in reach)
-        spread = max(reach) - min(reach)
-        return self._energy.depth_weight * misfit + self._energy.spread_weight * spread
+            return energy.lonely
+        misfit = sum(abs(distance - depths[ray]) for distance in reach)
+        return energy.depth_weight * misfit + energy.spread_weight * (max(reach) - min(reach))
+
+    def visit(link: int) -> None:
+        before = sum(energy_of(ray) for ray in pairs[link])
+        on[link] = not on[link]
+        if sum(energy_of(ray) for ray in pairs[link]) > before:
+            on[link] = not on[link]
+
+    if rng is None:
+        for link in range(len(pairs)):
+            visit(link)
+        return on
+    for ray in rng.integers(0, len(depths), _SWEEPS * len(depths)):
+        if len(of_ray[ray]):
+            visit(of_ray[ray][rng.integers(0, len(of_ray[ray]))])
+    return on
 
 
 def cluster_rays(
@@ -190,13 +172,6 @@ def cluster_rays(
     size = np.bincount(label, minlength=clusters)
     places = [np.bincount(label, axis, minlength=clusters) / size for axis in mean.T]
     return labels, np.column_stack(places) + origin
-
-
-def cluster_reference(places_m: Floats, cluster_m: float) -> Ints:
-    """Single linkage by SciPy, quadratic: what `cluster_rays` must agree with."""
-    if len(places_m) < 2:
-        return np.zeros(len(places_m), np.int64)
-    return fcluster(linkage(places_m), cluster_m, criterion="distance").astype(np.int64) - 1
 
 
 def published_poles(

@@ -60,16 +60,7 @@ POLE_COLUMNS = (
 # other things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3
 # to 49.
 _PANEL_EVIDENCE = 4.0
-# Columns of poles that hold real numbers.
-_NUMBERS = (
-    "x",
-    "y",
-    "sigma_major_m",
-    "sigma_minor_m",
-    "sigma_azimuth_deg",
-    "condition",
-    "evidence",
-)
+_ERRORS = ("sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition", "evidence")
 
 
 def site_poles(
@@ -91,7 +82,11 @@ def site_poles(
     scale by kind : what depths were multiplied by.
     """
     pole_of = np.full(len(sightings), -1, np.int64)
-    tables, scales, before = [_empty()], {}, 0
+    types: dict[str, type] = {"x": float, "y": float, "score": np.int64}
+    types |= dict.fromkeys(_ERRORS, float) | {"kept": bool}
+    types |= dict.fromkeys(("reason", "id", "kind"), object)
+    empty = pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
+    tables, scales, before = [empty], {}, 0
     usable = sightings["kept"].to_numpy(bool)
     for kind in sorted(set(sightings["kind"][usable])):
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
@@ -113,7 +108,12 @@ def site_poles(
         before += len(poles)
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))
     poles = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
-    return _with_sources(poles, sightings, pole_of), pole_of, scales
+    # Names of the images and routes that show each pole.
+    shown = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
+    named = shown.groupby(pole_of[pole_of >= 0]).agg(lambda names: ";".join(sorted(set(names))))
+    named = named.reindex(range(len(poles)), fill_value="")
+    poles = poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
+    return poles, pole_of, scales
 
 
 def near_and_far(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
@@ -149,26 +149,6 @@ def _rays(sightings: pd.DataFrame) -> Rays:
         if set(parts) <= set(sightings):
             columns[name] = sightings[list(parts)].to_numpy(np.float64)
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
-
-
-def _empty() -> pd.DataFrame:
-    types: dict[str, type] = {"x": float, "y": float, "score": np.int64}
-    types |= dict.fromkeys(_NUMBERS[2:], float) | {"kept": bool}
-    types |= dict.fromkeys(("reason", "id", "kind"), object)
-    return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
-
-
-def _with_sources(poles: pd.DataFrame, sightings: pd.DataFrame, pole_of: Ints) -> pd.DataFrame:
-    """Poles with the names of the images and routes that show them."""
-    used = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
-    owner = pole_of[pole_of >= 0]
-    named = used.groupby(owner).agg(_joined)
-    named = named.reindex(range(len(poles)), fill_value="")
-    return poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
-
-
-def _joined(names: pd.Series) -> str:
-    return ";".join(sorted(set(names)))
 
 
 # Poles with what a person decided on them.
@@ -346,18 +326,14 @@ def real_probability(poles: pd.DataFrame) -> Floats:
     found = np.where(shape == "stem", found, np.nan)
     found = np.where((shape == "panel") & poles["kept"] & np.isfinite(evidence), _PANEL, found)
     tree = (poles["kind"] == "tree") & (poles["score"] > 0) & poles["kept"]
-    found = np.where(tree, _tree_probability(poles["cloud_shows"].where(tree, "")), found)
-    certain = poles["decided"].map({"accepted": 1.0, "moved": 1.0, "rejected": 0.0})
-    return np.asarray(certain.fillna(pd.Series(found, index=poles.index)), np.float64)
-
-
-def _tree_probability(shows: pd.Series) -> Floats:
-    """Probability (n,) of trees that images show, by what the cloud does."""
+    shows = poles["cloud_shows"].where(tree, "")
     count = shows.value_counts()
     # Nothing is known of a cloud before its first tree.
     trunks = count.get(TRUNK, 0) / (count.get(TRUNK, 0) + count.get(CROWN, 0) + 1)
     times = shows.map({**_SHOWN, CROWN: 1.0 - trunks}).fillna(1.0).to_numpy(np.float64)
-    return np.asarray(expit(logit(_TREE) + np.log(times)), np.float64)
+    found = np.where(tree, expit(logit(_TREE) + np.log(times)), found)
+    certain = poles["decided"].map({"accepted": 1.0, "moved": 1.0, "rejected": 0.0})
+    return np.asarray(certain.fillna(pd.Series(found, index=poles.index)), np.float64)
 
 
 def probability_source(poles: pd.DataFrame, probability: Floats) -> NDArray[np.object_]:
