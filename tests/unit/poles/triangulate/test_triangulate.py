@@ -10,22 +10,15 @@ from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.locate import (
-    choose_groups,
-    drop_near_structures,
-    error_ellipse,
-    shares_above,
-    triangulate,
-    withhold_thin,
-    withhold_under_crowns,
-)
-from roadsight.poles.triangulate.merging import (
+from roadsight.poles.triangulate.listing import (
     Points,
+    choose_groups,
     fit_groups,
     follows_sequence,
     locate_points,
     merge_groups,
 )
+from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.noise import place_groups, stated_noise
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
@@ -34,18 +27,20 @@ from roadsight.poles.triangulate.rays import (
     make_rays,
     pair_rays,
 )
-from roadsight.poles.triangulate.site import (
+from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
+from roadsight.poles.triangulate.withhold import (
     FILLED,
     LOW,
-    POLE_COLUMNS,
-    SHARED_COLUMNS,
     STANDING,
     UNEVEN,
     are_filled,
+    drop_near_structures,
     panel_edges,
-    site_poles,
+    shares_above,
     withhold_by_height,
     withhold_filled,
+    withhold_thin,
+    withhold_under_crowns,
 )
 from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
 

@@ -173,11 +173,7 @@ def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) ->
     for number, centre in enumerate(centres):
         own = np.array(sorted(tree.query_ball_point(centre, radius_m)), np.int64)
         top = float(height[own].max())
-        # A stem has returns anywhere between its foot and its top; several wires above each other,
-        # and tufts of crowns, have none below.
-        low = float(height[own].min())
-        share = (top - low) / (top - _LOWEST_M)
-        hanging[number] = low > _TRUNK_M and share ** len(own) < _CHANCE
+        hanging[number] = _hangs(height[own])
         stem = own[height[own] <= max(top - _HEAD_M, 0.7 * top, _TRUNK_M)]
         stem = stem if len(stem) >= 2 else own
         xy, sigma, used = stem_axis(points[stem, :2])
@@ -186,6 +182,17 @@ def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) ->
     found = found[~hanging]
     rest = np.ascontiguousarray(np.column_stack([found[:, 2:], np.zeros(len(found))]).T)
     return PoleColumns(found[:, :2].copy(), *rest)
+
+
+def _hangs(height_m: Floats) -> bool:
+    """Whether returns of these heights above ground (n,) are too high up for a stem.
+
+    A stem has them anywhere between its foot and its top; several wires above each other, and
+    tufts of crowns, have none below.
+    """
+    low, top = float(height_m.min()), float(height_m.max())
+    share = (top - low) / (top - _LOWEST_M)
+    return low > _TRUNK_M and share ** len(height_m) < _CHANCE
 
 
 def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:

@@ -10,6 +10,7 @@ import pandas as pd
 from roadsight.base.doubts import Doubt, Severity
 from roadsight.poles.sightings.metric_depth import NetworkScale
 from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.withhold import UNDER_CROWN
 
 # Share of sightings that end at a column of the cloud below which it shows no poles. With columns
 # it is half or more.
@@ -31,8 +32,6 @@ FAR_SIGMA_M = 1.0
 # Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
 # much as the guess is.
 UNTURNED = "yaw of the side view not found"
-# Reason why a pole is withheld, see `locate.withhold_under_crowns`.
-UNDER_CROWN = "under a crown, and not clearly in the cloud"
 _LARGE = 0.2  # logarithm of a network's scale from which it is a doubt: a fifth of the distance
 
 

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.triangulate.merging import follows_sequence
+from roadsight.poles.triangulate.listing import follows_sequence
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
