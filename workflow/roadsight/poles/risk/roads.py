@@ -242,6 +242,11 @@ def _length_m(line: Floats) -> float:
     return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
+def along_m(line_m: Floats) -> Floats:
+    """Length (n,) along a line (n, 2) to each vertex."""
+    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))]
+
+
 def road_along(
     line_m: Floats,
     edges_m: Floats,
@@ -276,7 +281,7 @@ def road_along(
         known = middle[np.isfinite(half)]
         if len(known):
             noise = 1.4826 * float(np.median(np.abs(known - np.median(known))))
-    station = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    station = along_m(line)
     if measures_m is not None:
         low, high = measures_m
         station = low + station * (high - low) / station[-1]
@@ -288,7 +293,7 @@ def resampled(line_m: Floats, step_m: float) -> Floats:
     line = np.asarray(line_m, np.float64)[:, :2]
     moved = np.r_[True, np.hypot(*np.diff(line, axis=0).T) > 1e-6]
     line = line[moved]
-    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    along = along_m(line)
     count = max(int(np.ceil(along[-1] / step_m)), 2)
     at = np.linspace(0.0, along[-1], count + 1)
     return np.column_stack([np.interp(at, along, c) for c in line.T])
@@ -463,22 +468,9 @@ class RouteTracks:
         """Unit vectors of travel (n, 2)."""
         return (self.end_m - self.start_m)[piece] / self.length_m[piece, None]
 
-    def side(self, xy_m: Floats) -> Ints:
-        """-1 left, +1 right, 0 on the track or unknown, seen along the direction of travel."""
-        piece, _, foot = self.locate(xy_m)
-        if len(self) == 0:
-            return np.zeros(len(xy_m), np.int64)
-        way, gap = self.direction(piece), xy_m - foot
-        cross = way[:, 1] * gap[:, 0] - way[:, 0] * gap[:, 1]
-        return np.where(np.abs(cross) < 1e-6, 0, np.sign(cross)).astype(np.int64)
-
     def place(self, route: int, station_m: Floats) -> Floats:
         """Places (n, 2) at stations of a route, held at its ends."""
         own = self.route == route
         stations = np.r_[self.station_m[own], self.station_m[own][-1:] + self.length_m[own][-1:]]
         xy = np.concatenate([self.start_m[own], self.end_m[own][-1:]])
         return np.column_stack([np.interp(station_m, stations, axis) for axis in xy.T])
-
-    def route_length_m(self, route: int) -> float:
-        """Length of a route."""
-        return float(self.length_m[self.route == route].sum())

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
-from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
+from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, along_m, beside, resampled
 
 MeasureUnit = Literal["m", "km", "ft", "usft", "mi", "usmi"]
 # Metres in the units of measures, by the ends of column names: from_mi, to_mi.
@@ -201,14 +201,9 @@ def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
     return {name: near for name, near in found.items() if near.mean() > _LEAST_BESIDE}
 
 
-def _plan_m(road: Road) -> Floats:
-    """Length (n,) along the centreline to each vertex."""
-    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
-
-
 def _known_measures(road: Road, routes: Sequence[Route]) -> tuple[Floats, Floats]:
     """Places along a road (k,), m from its first vertex, and the route's measure at each."""
-    plan = _plan_m(road)
+    plan = along_m(road.xy_m)
     knots = np.unique(np.r_[np.arange(0.0, plan[-1], _KNOTS_M), plan[-1]])
     places = np.column_stack([np.interp(knots, plan, axis) for axis in road.xy_m.T])
     measure, gap = _project(places, routes)
@@ -229,7 +224,7 @@ def _measured(road: Road, name: str, at: Floats, value: Floats) -> Road:
     ----------
     at, value : as `_known_measures` returns them, two or more.
     """
-    plan = _plan_m(road)
+    plan = along_m(road.xy_m)
     rising = bool(value[-1] >= value[0])
     value = value if rising else -value
     # Feet of corners may repeat: only what rises counts.

@@ -79,7 +79,7 @@ def classify_places(
 
 def track_radius_m(tracks: RouteTracks, route: int, station_m: float, chord_m: float) -> float:
     """Radius of the circle through the track at a station and half a chord before and after it."""
-    length_m = tracks.route_length_m(route)
+    length_m = float(tracks.length_m[tracks.route == route].sum())
     middle = np.clip(station_m, min(chord_m, length_m / 2), max(length_m - chord_m, length_m / 2))
     a, b, c = tracks.place(route, np.array([middle - chord_m, middle, middle + chord_m]))
     ab, bc = b - a, c - b

@@ -101,15 +101,24 @@ def find_pole_columns(
     # In order of place, so that the order of the returns does not matter.
     order = np.lexsort(points.T)
     points, height_m = points[order], height_m[order]
-    # One point for each cell of the returns, so that density does not matter.
-    plan_and_height = np.column_stack([points[:, :2], height_m])
-    cell = np.floor(plan_and_height / _THIN_M).astype(np.int64)
-    _, number = np.unique(cell, axis=0, return_inverse=True)
-    number = number.ravel()
-    weight = np.bincount(number)
-    mean = [np.bincount(number, values) / weight for values in plan_and_height.T]
-    centres = _isolated(np.column_stack(mean[:2]), mean[2], settings)
+    thin = thinned(np.column_stack([points[:, :2], height_m]), _THIN_M)
+    centres = _isolated(thin[:, :2], thin[:, 2], settings)
     return _placed(centres, points, height_m, settings.radius_m)
+
+
+def thinned(points_m: Floats, cell_m: float, axes: int = 3) -> Floats:
+    """Mean of the points (n, 3) in each cell, so that density does not matter; by their cells.
+
+    Parameters
+    ----------
+    axes : 3 for cubes, 2 for cells in plan.
+    """
+    if not len(points_m):
+        return points_m
+    cell = np.floor(points_m[:, :axes] / cell_m).astype(np.int64)
+    _, number, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(number.ravel(), values) for values in points_m.T]
+    return np.asarray(np.column_stack(sums) / count[:, None], np.float64)
 
 
 def _isolated(xy: Floats, height: Floats, settings: Columns) -> Floats:

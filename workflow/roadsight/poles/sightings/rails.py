@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.sightings.lidar_poles import NO_COLUMN
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, thinned
 
 _ABOVE_M = 1.0  # height over a rail in which a wall, a fence or a vehicle has returns
 _DECK = 17  # ASPRS class of bridge decks, over which the ground is a valley's
@@ -79,7 +79,8 @@ def find_rail_returns(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Ra
         over = solid & (above_ground_m > most_m) & (above_ground_m <= most_m + _ABOVE_M)
     xyz = np.asarray(xyz_m, np.float64)
     ground = np.column_stack([xyz[:, :2], xyz[:, 2] - above_ground_m])
-    points, above = _thinned(ground[low]), _thinned(ground[over])
+    # Column by column of cells from the west, each northwards.
+    points, above = (thinned(ground[rows], _THIN_M, axes=2) for rows in (low, over))
     if not len(points):
         return RailReturns(np.empty((0, 3)), np.empty((0, 2)))
     turn = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
@@ -102,16 +103,6 @@ def _over_decks(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Floats:
     # What is below the deck is not on it.
     above[beside] = np.where(over > -_DECK_M, np.fmin(over, above[beside]), above[beside])
     return above
-
-
-def _thinned(points: Floats) -> Floats:
-    """Mean of the points in each cell, column by column of cells from the west, each northwards."""
-    if not len(points):
-        return points
-    cell = np.floor(points[:, :2] / _THIN_M).astype(np.int64)
-    _, number, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    sums = [np.bincount(number.ravel(), points[:, k]) for k in range(3)]
-    return np.asarray(np.column_stack(sums) / count[:, None], np.float64)
 
 
 def _columns(thinned: Floats) -> Ints:

@@ -163,7 +163,7 @@ def measure_view(
     for name, row in (("lower_edge_rise", "v_max"), ("upper_edge_rise", "v_min")):
         edge = _rise(camera, np.column_stack([middle, table[row]]))
         table[name] = np.where(panel, edge, np.nan)
-    return _once_a_column(_judged(table, found, camera, settings), match)
+    return _judged(table, found, match, camera, settings)
 
 
 def _own_distances(
@@ -281,7 +281,11 @@ def _chosen_bearing(
 
 
 def _judged(
-    table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera, settings: Sightings
+    table: pd.DataFrame,
+    found: Sequence[Instance],
+    match: Ints,
+    camera: ViewCamera,
+    settings: Sightings,
 ) -> pd.DataFrame:
     """Rules that need the distance; the first that fails is the reason."""
     lower = table["v_foot"] - table["v_min"]
@@ -301,6 +305,14 @@ def _judged(
         lost = (table["reason"] == "") & (table["method"] != "lidar")
         table["reason"] = table["reason"].mask(lost, "no point of the cloud in view")
     table["kept"] = table["reason"] == ""
+    # Of things that end at one column, the tallest is the pole. Those come first whose own distance
+    # says that they end there.
+    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
+    tall = lower.where(table["kept"] & (match >= 0), -np.inf)
+    tall = tall.where(~own, tall + _TALLEST_PX)
+    best = tall.groupby([table["kind"], match]).transform("max")
+    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
+    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
     return table
 
 
@@ -327,17 +339,3 @@ def _why_not(
     if too_low:
         return "too low"
     return "sign post" if post and one.touches_sign else ""
-
-
-def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
-    """Of things that end at one column, the tallest is the pole.
-
-    Those come first whose own distance says that they end there.
-    """
-    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
-    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
-    tall = tall.where(~own, tall + _TALLEST_PX)
-    best = tall.groupby([table["kind"], match]).transform("max")
-    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
-    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
-    return table

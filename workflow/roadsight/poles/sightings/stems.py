@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
-from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis, thinned
 
 _LAYER_M = 0.3  # height of a slice: lower ones have too few returns, higher ones blur leaning stems
 _CELL_M = 0.1  # cells of a slice in plan
@@ -281,12 +281,7 @@ def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
         used = above_ground_m > _LOWEST_M
     points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
     away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
-    points = points[np.isfinite(away)]
-    cell = np.floor(points / _THIN_M).astype(np.int64)
-    _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    own = own.ravel()
-    means = [np.bincount(own, axis, len(count)) / count for axis in points.T]
-    return np.column_stack(means)
+    return thinned(points[np.isfinite(away)], _THIN_M)
 
 
 def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:

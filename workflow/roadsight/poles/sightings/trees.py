@@ -289,7 +289,8 @@ def _column(cubes: Ints, top_m: Floats) -> Floats | None:
     places = (np.column_stack([row, column]) + corner + 0.5) * _CUBE_M
     near = np.hypot(*(places - top_m).T) <= REACH_M
     row, column, places = row[near], column[near], places[near]
-    inner, outer = (_summed(count, disc)[row, column] for disc in (core, wide))
+    sums = (cv2.filter2D(count, -1, d, borderType=cv2.BORDER_CONSTANT) for d in (core, wide))
+    inner, outer = (np.rint(one[row, column]).astype(np.float64) for one in sums)
     kernel = core.astype(np.uint8)
     span = (cv2.dilate(highest, kernel) - cv2.erode(lowest, kernel))[row, column]
     tries = count[row, column].sum()
@@ -302,11 +303,6 @@ def _column(cubes: Ints, top_m: Floats) -> Floats | None:
     if (inner[beside] > _OTHERS * inner[best]).any():
         return None
     return np.asarray(places[best], np.float64)
-
-
-def _summed(image: Floats32, disc: Floats32) -> Floats:
-    total = cv2.filter2D(image, -1, disc, borderType=cv2.BORDER_CONSTANT)
-    return np.rint(total).astype(np.float64)
 
 
 def _trunk_disc(cells: int) -> Floats32:

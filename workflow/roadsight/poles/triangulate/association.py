@@ -79,43 +79,6 @@ class Work:
     looks: int = 0
 
 
-# Compiled loops of the association: what rays say about a place, and places that rays agree on.
-
-
-class Likelihood(NamedTuple):
-    """What sightings of a pole look like, ray by ray, and what strays look like.
-
-    Parameters
-    ----------
-    camera_m : (n, 2). direction : (n, 2), east and north of the bearings, unit length.
-    image : (n,) whole numbers.
-    angle_sigma, log_sigma : (n,) of bearing in radians and of the logarithm of distance.
-    place_sigma : (n,) of the camera's place each axis, metres.
-    log_depth : (n,) logarithm of the distance expected at the measured depth; NaN if unknown.
-    stray : (n,) log density of the ray (per radian and per unit of log distance) as a stray.
-    missed : log of the share of images that do not show a pole, by bins of `BIN_M` of its
-        distance. odds : log of the share that do, less ``missed``.
-    new_pole : log density of poles per square metre, less the evidence that is asked for.
-    gate : largest chi squared of a member. reach_m : farthest distance.
-    base_m : cameras of a pole's rays lie at least so far apart.
-    """
-
-    camera_m: Floats
-    direction: Floats
-    image: Ints
-    angle_sigma: Floats
-    log_sigma: Floats
-    place_sigma: Floats
-    log_depth: Floats
-    stray: Floats
-    missed: Floats
-    odds: Floats
-    new_pole: float
-    gate: float
-    reach_m: float
-    base_m: float
-
-
 @dataclass
 class Grower:
     """Grows and judges hypotheses among rays."""
@@ -213,6 +176,43 @@ def take_best(
         else:
             push(grower.grow(pole.x, pole.y, pole.seed, free))
     return in_order(taken), grown
+
+
+# Compiled loops of the association: what rays say about a place, and where they agree.
+
+
+class Likelihood(NamedTuple):
+    """What sightings of a pole look like, ray by ray, and what strays look like.
+
+    Parameters
+    ----------
+    camera_m : (n, 2). direction : (n, 2), east and north of the bearings, unit length.
+    image : (n,) whole numbers.
+    angle_sigma, log_sigma : (n,) of bearing in radians and of the logarithm of distance.
+    place_sigma : (n,) of the camera's place each axis, metres.
+    log_depth : (n,) logarithm of the distance expected at the measured depth; NaN if unknown.
+    stray : (n,) log density of the ray (per radian and per unit of log distance) as a stray.
+    missed : log of the share of images that do not show a pole, by bins of `BIN_M` of its
+        distance. odds : log of the share that do, less ``missed``.
+    new_pole : log density of poles per square metre, less the evidence that is asked for.
+    gate : largest chi squared of a member. reach_m : farthest distance.
+    base_m : cameras of a pole's rays lie at least so far apart.
+    """
+
+    camera_m: Floats
+    direction: Floats
+    image: Ints
+    angle_sigma: Floats
+    log_sigma: Floats
+    place_sigma: Floats
+    log_depth: Floats
+    stray: Floats
+    missed: Floats
+    odds: Floats
+    new_pole: float
+    gate: float
+    reach_m: float
+    base_m: float
 
 
 NEAREST_M = 0.5  # a pole stands farther from a camera than this: the vehicle is in between

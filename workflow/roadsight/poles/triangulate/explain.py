@@ -175,7 +175,7 @@ def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
     if not poles:
         return poles
     rays = grower.rays
-    tree = cKDTree([[pole.x, pole.y] for pole in poles])
+    tree = cKDTree(_places(poles))
     members: list[list[int]] = [[] for _ in poles]
     by_image = np.argsort(rays.image, kind="stable")
     for own in np.split(by_image, np.flatnonzero(np.diff(rays.image[by_image])) + 1):
@@ -205,7 +205,13 @@ def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
     joined = True
     while joined and len(current) > 1:
         joined, used = False, set()
-        for a, b in _near_pairs(current, grower.model.reach_m / 2):
+        numbers = np.array(sorted(current))
+        places = _places([current[n] for n in numbers.tolist()])
+        near = cKDTree(places).query_pairs(grower.model.reach_m / 2, output_type="ndarray")
+        apart = np.hypot(*(places[near[:, 0]] - places[near[:, 1]]).T)
+        first, second = numbers[near.min(axis=1)], numbers[near.max(axis=1)]
+        order = np.lexsort([second, first, np.round(apart, 9)])
+        for a, b in zip(first[order].tolist(), second[order].tolist(), strict=True):
             if (a, b) in tried or a in used or b in used:
                 continue
             tried.add((a, b))
@@ -216,17 +222,6 @@ def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
                 current[fresh] = one
                 fresh, joined = fresh + 1, True
     return in_order(current.values())
-
-
-def _near_pairs(poles: dict[int, Pole], reach_m: float) -> list[tuple[int, int]]:
-    """Pairs of poles within a distance, nearest first."""
-    numbers = np.array(sorted(poles))
-    places = np.array([(poles[n].x, poles[n].y) for n in numbers.tolist()])
-    pairs = cKDTree(places).query_pairs(reach_m, output_type="ndarray")
-    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
-    first, second = numbers[pairs.min(axis=1)], numbers[pairs.max(axis=1)]
-    order = np.lexsort([second, first, np.round(apart, 9)])
-    return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
 
 
 def _as_one(grower: Grower, first: Pole, second: Pole, free: Bools) -> Pole | None:

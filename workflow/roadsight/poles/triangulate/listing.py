@@ -136,7 +136,13 @@ def build_groups(rays: Rays, settings: TriangulationSettings) -> list[Groups]:
     keys = np.sort(pairs[:, 0] * len(rays) + pairs[:, 1])
     levels = []
     while len(level.members):
-        level = _best_for_each_ray(level, len(rays), settings)
+        # Groups that are among the best of at least one of their rays.
+        ray = level.members.ravel()
+        group = np.repeat(np.arange(len(level.members)), level.members.shape[1])
+        order = np.lexsort([group, level.cost[group], ray])
+        first = np.searchsorted(ray[order], np.arange(len(rays)))
+        rank = np.arange(len(order)) - first[ray[order]]
+        level = level.take(np.unique(group[order[rank < settings.beam]]))
         levels.append(level)
         members = _extended(level.members, keys, len(rays))
         level, fits = fit_groups(rays, points, members, settings)
@@ -187,18 +193,6 @@ def _extended(members: Ints, keys: Ints, rays: int) -> Ints:
         found = np.searchsorted(keys, wanted)
         keep &= keys[np.minimum(found, len(keys) - 1)] == wanted
     return np.column_stack([members[group[keep]], later[keep]])
-
-
-def _best_for_each_ray(groups: Groups, rays: int, settings: TriangulationSettings) -> Groups:
-    """Groups that are among the best of at least one of their rays."""
-    size = groups.members.shape[1]
-    ray = groups.members.ravel()
-    group = np.repeat(np.arange(len(groups.members)), size)
-    order = np.lexsort([group, groups.cost[group], ray])
-    first = np.searchsorted(ray[order], np.arange(rays))
-    rank = np.arange(len(order)) - first[ray[order]]
-    kept = np.unique(group[order[rank < settings.beam]])
-    return groups.take(kept)
 
 
 def gains(groups: Groups, settings: TriangulationSettings) -> Floats:

@@ -21,6 +21,7 @@ from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
     TriangulationSettings,
+    camera_pairs,
     cross_rays,
 )
 
@@ -82,12 +83,7 @@ def find_links(
     unit_m : metres in the unit in which depths and the maximum distance count. In the published
         code this is not the metre, but the cameras' distance is in metres.
     """
-    apart_m = FURTHEST_CAMERAS * farthest
-    pairs = cKDTree(rays.camera_m).query_pairs(apart_m, output_type="ndarray").astype(np.int64)
-    pairs.sort(axis=1)
-    pairs = pairs[np.lexsort(pairs.T[::-1])]
-    gap_m = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
-    pairs = pairs[gap_m >= min_baseline_m]
+    pairs = camera_pairs(rays, FURTHEST_CAMERAS * farthest, min_baseline_m)
     along_m, place_m = cross_rays(rays, pairs)
     along = along_m / unit_m
     # Comparisons with NaN are false, so parallel rays drop out.

@@ -199,12 +199,17 @@ def pair_rays(rays: Rays, settings: TriangulationSettings) -> Ints:
     if len(rays) < 2:
         return np.empty((0, 2), np.int64)
     reach_m = FURTHEST_CAMERAS * settings.max_distance_m
+    pairs = camera_pairs(rays, reach_m, settings.min_baseline_m)
+    return pairs[rays.image[pairs[:, 0]] != rays.image[pairs[:, 1]]]
+
+
+def camera_pairs(rays: Rays, reach_m: float, min_baseline_m: float) -> Ints:
+    """Pairs (m, 2) of rays, in order, by the distance of their cameras."""
     pairs = cKDTree(rays.camera_m).query_pairs(reach_m, output_type="ndarray").astype(np.int64)
     pairs.sort(axis=1)
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     apart = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
-    other = rays.image[pairs[:, 0]] != rays.image[pairs[:, 1]]
-    return pairs[other & (apart >= settings.min_baseline_m)]
+    return pairs[apart >= min_baseline_m]
 
 
 def cross_rays(rays: Rays, pairs: Ints) -> tuple[Floats, Floats]:
