@@ -80,11 +80,7 @@ def draw(names: pd.Series, count: int, rng: np.random.Generator) -> Ints:
 
 
 def score_checks(
-    error_m: Floats,
-    missed: int,
-    stratum: Sequence[str],
-    sizes: dict[str, int],
-    thresholds_m: tuple[float, ...] = THRESHOLDS_M,
+    error_m: Floats, missed: int, stratum: Sequence[str], sizes: dict[str, int]
 ) -> dict[str, Any]:
     """What the checked ones say of all.
 
@@ -110,7 +106,7 @@ def score_checks(
     lacking = sorted(set(sizes) - set(checked.index))
     weight = np.array([sizes[name] / checked[name] for name in stratum], np.float64)
     rows = []
-    for threshold_m in thresholds_m:
+    for threshold_m in THRESHOLDS_M:
         right = stands & (distance_m <= threshold_m)
         tp, fn = int(right.sum()), int((stands & ~right).sum()) + missed
         share = None

@@ -23,6 +23,7 @@ from roadsight.base.errors import InputError
 LEAST_SIGMA_M = 0.005
 # Lower steps are texture. FHWA's Safety Edge guidance starts to treat drop-offs at 2 inches.
 STEP_M = 0.05
+_MOST = 10  # pieces at most
 _FEWEST = 3  # bins of a piece: two make a slope, three show that it is straight
 _FEW_HEIGHTS = 4  # of so many in a bin none is told to be an outlier
 # Heights further from the median than so many sigmas are of grass or stones. Means of the others
@@ -31,6 +32,7 @@ _FEW_HEIGHTS = 4  # of so many in a bin none is told to be an outlier
 _OUTLIER = 3.0
 _ROUNDS = 12  # rounds in which hinges move; on exact sections they rest after 4 to 6
 _NARROWEST_M = 0.3  # hinges keep this distance: narrower pieces are steps
+_STEEP_OVER_M = 1.5  # mean slopes are over so much
 
 
 @dataclass(frozen=True)
@@ -133,12 +135,8 @@ def noise_of(run_m: Floats, height_m: Floats, share: Floats | None = None) -> fl
     return float(1.4826 * np.median(np.abs(bend / spread)))
 
 
-def fit_pieces(profile: Profile, most: int = 10) -> Pieces:
+def fit_pieces(profile: Profile) -> Pieces:
     """Straight pieces of a profile, as many as Schwarz's criterion asks for.
-
-    Parameters
-    ----------
-    most : pieces at most.
 
     Raises
     ------
@@ -151,12 +149,12 @@ def fit_pieces(profile: Profile, most: int = 10) -> Pieces:
             found=len(profile),
             allowed=f"{_FEWEST} or more",
         )
-    cuts = _cuts(profile, most)
+    cuts = _cuts(profile)
     middles = (profile.run_m[cuts - 1] + profile.run_m[cuts]) / 2
     return _bent_line(profile, middles, _steps(profile, cuts))
 
 
-def _cuts(profile: Profile, most: int) -> Ints:
+def _cuts(profile: Profile) -> Ints:
     """First rows of the pieces after the first, by dynamic programming over all cuts."""
     x, z, w = profile.run_m, profile.height_m, profile.sigma_m**-2
     sums = np.array([w, w * x, w * z, w * x * x, w * x * z, w * z * z])
@@ -170,10 +168,10 @@ def _cuts(profile: Profile, most: int) -> Ints:
     rows = np.arange(n + 1)
     long = rows[None, :] - rows[:, None] >= _FEWEST
     misfit = np.where(long & np.isfinite(misfit), np.maximum(misfit, 0.0), np.inf)
-    best, origin = misfit[0].copy(), np.zeros((most, n + 1), np.int64)
+    best, origin = misfit[0].copy(), np.zeros((_MOST, n + 1), np.int64)
     # A piece more: its slope and the place of its hinge. Steps cost one more; they are rare.
     scores = [best[n]]
-    for number in range(1, most):
+    for number in range(1, _MOST):
         paths = best[:, None] + misfit
         origin[number] = np.argmin(paths, axis=0)
         best = paths[origin[number], rows]
@@ -271,8 +269,8 @@ def _measured(profile: Profile, hinges: Floats, moving: Ints, jumping: Ints) -> 
     return Pieces(ends, sigma_ends, slope, sigma_slope, jump, sigma_jump, float(plain[0]))
 
 
-def steepest(pieces: Pieces, window_m: float = 1.5, sign: int = -1) -> tuple[float, float, float]:
-    """Steepest mean slope over a window, its sigma, and the run at which the window starts.
+def steepest(pieces: Pieces, sign: int = -1) -> tuple[float, float, float]:
+    """Steepest mean slope over 1.5 m, its sigma, and the run at which that window starts.
 
     Parameters
     ----------
@@ -284,7 +282,7 @@ def steepest(pieces: Pieces, window_m: float = 1.5, sign: int = -1) -> tuple[flo
     window the whole profile is the window.
     """
     low, high = float(pieces.ends_m[0]), float(pieces.ends_m[-1])
-    window = min(window_m, high - low)
+    window = min(_STEEP_OVER_M, high - low)
     if window <= 0:
         return 0.0, float("nan"), low
     # The mean slope of a bent line is greatest where the window starts or ends at a hinge.

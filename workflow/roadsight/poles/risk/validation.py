@@ -85,11 +85,7 @@ def score_thresholds(
 
 
 def score_near(
-    found_m: Floats,
-    truth_m: Floats,
-    found_counts: Bools,
-    truth_counts: Bools,
-    threshold_m: float = OTHERS_M,
+    found_m: Floats, truth_m: Floats, found_counts: Bools, truth_counts: Bools
 ) -> dict[str, float | int | None]:
     """Scores of objects of which only those near something count.
 
@@ -100,17 +96,15 @@ def score_near(
     ----------
     found_counts, truth_counts : (n,) and (m,) whether each counts.
     """
-    matches = match_points(found_m, truth_m, threshold_m)
+    matches = match_points(found_m, truth_m, OTHERS_M)
     tp = int(truth_counts[matches[:, 1]].sum())
     alone = np.ones(len(found_m), bool)
     alone[matches[:, 0]] = False
     fp, fn = int((alone & found_counts).sum()), int(truth_counts.sum()) - tp
-    return {"threshold_m": threshold_m, **_scores(tp, fp, fn)}
+    return {"threshold_m": OTHERS_M, **_scores(tp, fp, fn)}
 
 
-def score_lines(
-    found: Sequence[Floats], truth: Sequence[Floats], within_m: float = LINES_M
-) -> dict[str, float | int | None]:
+def score_lines(found: Sequence[Floats], truth: Sequence[Floats]) -> dict[str, float | int | None]:
     """Scores by length, m: a line is right where one of the others runs within a distance.
 
     Parameters
@@ -120,9 +114,9 @@ def score_lines(
     ours, theirs = (
         shapely.union_all([shapely.LineString(one) for one in o]) for o in (found, truth)
     )
-    tp = theirs.intersection(ours.buffer(within_m)).length
-    fp = ours.difference(theirs.buffer(within_m)).length
-    return {"threshold_m": within_m, **_scores(tp, fp, theirs.length - tp)}
+    tp = theirs.intersection(ours.buffer(LINES_M)).length
+    fp = ours.difference(theirs.buffer(LINES_M)).length
+    return {"threshold_m": LINES_M, **_scores(tp, fp, theirs.length - tp)}
 
 
 def _scores(tp: float, fp: float, fn: float) -> dict[str, float | int | None]:

@@ -20,6 +20,9 @@ TO_SIGMA = 1.4826  # standard deviation over median absolute deviation, of a nor
 _ROUNDS = 30  # rounds of least absolute errors, and as many of the bisquare after them
 # Standard deviations from the pole of the relation within which depth is unknown.
 _GUARD_SIGMAS = 2.0
+_BINS = 12  # stretches of log depth that have the same say
+_MARCH_FROM_M, _MARCH_M = 1.0, 0.25  # start and step of the march of a ray along the ground
+_AGREE_SIGMAS = 3.0  # distances agree within so many common sigmas
 _LEAST_POINTS = 8  # points of known depth that two coefficients need
 # Farthest over nearest known depth: with less, scale and shift of the map look alike.
 _LEAST_RATIO = 1.3
@@ -173,13 +176,13 @@ def _no_fit(reason: str) -> DepthFit:
     return DepthFit(nan, nan, np.full((2, 2), nan), nan, nan, nan, 0, reason)
 
 
-def balancing_weights(z_m: ArrayLike, bins: int = 12) -> Floats:
+def balancing_weights(z_m: ArrayLike) -> Floats:
     """Weights (n,) that give each stretch of log depth the same say: near points are too many."""
     z = np.log(np.maximum(np.asarray(z_m, np.float64), 1e-3))
     if not len(z):
         return z
-    number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * bins).astype(int), 0, bins - 1)
-    return 1.0 / np.bincount(number, minlength=bins)[number]
+    number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * _BINS).astype(int), 0, _BINS - 1)
+    return 1.0 / np.bincount(number, minlength=_BINS)[number]
 
 
 # Ground height (n,) at local x, y (n,), NaN where unknown.
@@ -187,26 +190,21 @@ HeightAt = Callable[[Floats, Floats], Floats]
 
 
 def ground_distance_m(
-    origin_m: ArrayLike,
-    rays: Floats,
-    height_at: HeightAt,
-    nearest_m: float = 1.0,
-    farthest_m: float = 120.0,
-    step_m: float = 0.25,
+    origin_m: ArrayLike, rays: Floats, height_at: HeightAt, farthest_m: float = 120.0
 ) -> Floats:
     """Horizontal distance (n,) at which rays first go below the ground; NaN if they do not.
 
     Parameters
     ----------
     origin_m : camera centre (3,), local metres. rays : directions (n, 3) in the local frame.
-    height_at : the terrain. nearest_m, farthest_m, step_m : of the march along the ground.
+    height_at : the terrain. farthest_m : of the march along the ground.
     """
     origin = np.asarray(origin_m, np.float64)
     rays = np.asarray(rays, np.float64)
     level = np.hypot(rays[:, 0], rays[:, 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         unit = rays / level[:, None]
-    steps = np.arange(nearest_m, farthest_m + step_m, step_m)
+    steps = np.arange(_MARCH_FROM_M, farthest_m + _MARCH_M, _MARCH_M)
     x = origin[0] + unit[:, :1] * steps
     y = origin[1] + unit[:, 1:2] * steps
     flat = np.isfinite(x) & np.isfinite(y)
@@ -217,16 +215,14 @@ def ground_distance_m(
     lines = np.arange(len(rays))
     before, after = above[lines, first], above[lines, first + 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = steps[first] + step_m * before / (before - after)
+        distance = steps[first] + _MARCH_M * before / (before - after)
     return np.where(crossed.any(axis=1), distance, np.nan)
 
 
-def fuse_depths(
-    depths_m: ArrayLike, sigmas_m: ArrayLike, agree_sigmas: float = 3.0
-) -> tuple[float, float, Bools]:
+def fuse_depths(depths_m: ArrayLike, sigmas_m: ArrayLike) -> tuple[float, float, Bools]:
     """One distance from several by inverse variance, without those that disagree.
 
-    While two used ones differ by more than ``agree_sigmas`` of their common sigma, the one furthest
+    While two used ones differ by more than three of their common sigmas, the one furthest
     from the weighted mean of the others goes; of two that disagree the surer one stays, and sigma
     is widened to half of their difference.
 
@@ -252,7 +248,7 @@ def fuse_depths(
             apart = abs(depth[one] - middle) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
             if apart > score:
                 worst, score = int(one), float(apart)
-        if score <= agree_sigmas:
+        if score <= _AGREE_SIGMAS:
             break
         if np.count_nonzero(used) == 2:
             first, second = np.flatnonzero(used)
