@@ -219,71 +219,6 @@ def object_sections(
     return found
 
 
-def station_sections(
-    surroundings: Surroundings, every_m: float
-) -> list[tuple[str, int, float, int, Floats, Floats, CrossSection]]:
-    """Cross-sections along both sides of every road, at whole multiples of ``every_m``.
-
-    Returns
-    -------
-    name, road, station (m), side, edge (2,), way outwards (2,), section; those that could be made
-    """
-    found = []
-    for number, road in enumerate(surroundings.roads.roads):
-        first = np.ceil(road.start_m / every_m) * every_m
-        stations = np.arange(first, road.end_m + 1e-6, every_m)
-        way = road.direction(stations)
-        for side, word in ((-1, "left"), (1, "right")):
-            half = road.edge_m(stations, np.full(len(stations), side))
-            edges = road.place(stations, side * np.nan_to_num(half))
-            outward = side * np.column_stack([way[:, 1], -way[:, 0]])
-            for row in np.flatnonzero(np.isfinite(half)):
-                section = surroundings.section(edges[row], outward[row], REACH_M)
-                if section is not None:
-                    name = f"{road.name} {stations[row]:.0f} {word}"
-                    place = (float(stations[row]), side, edges[row], outward[row])
-                    found.append((name, number, *place, section))
-    return found
-
-
-def section_rows(
-    name: str,
-    owner: str,
-    route: str,
-    station_m: float,
-    side: int,
-    edge_m: Floats,
-    outward: Floats,
-    section: CrossSection,
-) -> list[tuple]:
-    """Rows of `SECTION_COLUMNS` of one cross-section."""
-    rows = []
-    for number, element in enumerate(section.elements, start=1):
-        start, end = edge_m + element.start_m * outward, edge_m + element.end_m * outward
-        rows.append(
-            (
-                name,
-                owner,
-                route,
-                station_m,
-                side,
-                number,
-                element.kind,
-                element.start_m,
-                element.end_m,
-                element.width_m,
-                element.sigma_width_m,
-                element.slope,
-                element.sigma_slope,
-                "" if np.isnan(element.slope) else slope_text(element.slope),
-                element.rise_m,
-                *start,
-                *end,
-            )
-        )
-    return rows
-
-
 def section_table(
     surroundings: Surroundings,
     names: Sequence[str],
@@ -301,22 +236,54 @@ def section_table(
     every_m : 0 for none along the roads.
     """
     roads = surroundings.roads.roads
-    rows: list[tuple] = []
-    for number, section in enumerate(sections):
-        if section is None:
-            continue
-        road = int(located.road[number])
-        route = roads[road].name if road >= 0 else ""
-        name = str(names[number])
-        place = (float(located.station_m[number]), int(located.side[number]))
-        rows += section_rows(
-            f"at {name}", name, route, *place, edge_m[number], outward[number], section
+    places = zip(located.road, located.station_m, located.side, strict=True)
+    found = [
+        (f"at {name}", str(name), int(road), float(station), int(side), edge, way, section)
+        for name, (road, station, side), edge, way, section in zip(
+            names, places, edge_m, outward, sections, strict=True
         )
-    for name, road, station, side, edge, way, section in (
-        station_sections(surroundings, every_m) if every_m > 0 else []
-    ):
-        rows += section_rows(name, "", roads[road].name, station, side, edge, way, section)
+        if section is not None
+    ]
+    rows: list[tuple] = []
+    for name, owner, road, station, side, edge, way, section in [
+        *found,
+        *(_along_roads(surroundings, every_m) if every_m > 0 else []),
+    ]:
+        route = roads[road].name if road >= 0 else ""
+        for number, e in enumerate(section.elements, start=1):
+            ratio = "" if np.isnan(e.slope) else slope_text(e.slope)
+            width, slope = (e.width_m, e.sigma_width_m), (e.slope, e.sigma_slope, ratio)
+            element = (number, e.kind, e.start_m, e.end_m, *width, *slope, e.rise_m)
+            ends = (*(edge + e.start_m * way), *(edge + e.end_m * way))
+            rows.append((name, owner, route, station, side, *element, *ends))
     return pd.DataFrame(rows, columns=list(SECTION_COLUMNS))
+
+
+def _along_roads(
+    surroundings: Surroundings, every_m: float
+) -> list[tuple[str, str, int, float, int, Floats, Floats, CrossSection]]:
+    """Cross-sections along both sides of every road, at whole multiples of ``every_m``.
+
+    Returns
+    -------
+    name, owner (none), road, station (m), side, edge (2,), way outwards (2,), section
+    """
+    found = []
+    for number, road in enumerate(surroundings.roads.roads):
+        first = np.ceil(road.start_m / every_m) * every_m
+        stations = np.arange(first, road.end_m + 1e-6, every_m)
+        way = road.direction(stations)
+        for side, word in ((-1, "left"), (1, "right")):
+            half = road.edge_m(stations, np.full(len(stations), side))
+            edges = road.place(stations, side * np.nan_to_num(half))
+            outward = side * np.column_stack([way[:, 1], -way[:, 0]])
+            for row in np.flatnonzero(np.isfinite(half)):
+                section = surroundings.section(edges[row], outward[row], REACH_M)
+                if section is not None:
+                    name = f"{road.name} {stations[row]:.0f} {word}"
+                    place = (float(stations[row]), side, edges[row], outward[row])
+                    found.append((name, "", number, *place, section))
+    return found
 
 
 def geometry_table(surroundings: Surroundings, site: Hazard | None = None) -> pd.DataFrame:
