@@ -62,18 +62,12 @@ LANE_COLUMNS = (
 
 
 class _Line(NamedTuple):
-    """A line in a window.
+    """A line in a window."""
 
-    Parameters
-    ----------
-    offset_m, sigma_m : of its middle. share : of the pieces that images look at, those that show
-        it. half_m : how far its points are from the middle of their image's.
-    """
-
-    offset_m: float
+    offset_m: float  # of its middle
     sigma_m: float
-    share: float
-    half_m: float
+    share: float  # of the pieces that images look at, those that show it
+    half_m: float  # how far its points are from the middle of their image's
 
 
 def marked_lanes(
@@ -111,12 +105,7 @@ def marked_lanes(
 
 
 def _looked_at(station: Floats, image: Ints) -> Ints:
-    """Pieces of road between the first and the last point of some image, ascending.
-
-    Parameters
-    ----------
-    station : ascending.
-    """
+    """Pieces of road between the first and last point of some image; all stations ascend."""
     if not len(station):
         return np.empty(0, np.int64)
     piece = np.floor(station / _PIECE_M).astype(np.int64)
@@ -129,12 +118,7 @@ def _looked_at(station: Floats, image: Ints) -> Ints:
 
 
 def _lines(station: Floats, offset: Floats, image: Ints, looked_at: int) -> list[_Line]:
-    """Lines of one window from left to right.
-
-    Parameters
-    ----------
-    looked_at : pieces of the window, those without paint as well.
-    """
+    """Lines of one window from left to right; ``looked_at`` counts pieces without paint as well."""
     if looked_at < _FEWEST_PIECES:
         return []
     piece = np.floor(station / _PIECE_M).astype(np.int64)
@@ -175,9 +159,7 @@ def _densest(offset: Floats, piece: Ints) -> float:
 def _apart(lines: list[_Line], station: Floats, offset: Floats) -> tuple[list[_Line], bool]:
     """Lines without those too near to one that goes on further; whether inner ones hold a median.
 
-    Parameters
-    ----------
-    station, offset : of the points around, see `_AROUND_M`.
+    Points are those around, see `_AROUND_M`.
     """
     kept, median = list(lines), False
     while len(kept) > 1:

@@ -196,9 +196,7 @@ def _fit(
 ) -> tuple[Floats, Floats, float]:
     """Polynomial by least squares: coefficients from the constant up, their covariance, misfit.
 
-    Parameters
-    ----------
-    sigma : of one y; from the misfit if NaN.
+    One y has the given sigma, or that of the misfit if it is NaN or less.
     """
     design = np.vander(x, degree + 1, increasing=True)
     fitted, *_ = np.linalg.lstsq(design, y, rcond=None)

@@ -353,12 +353,7 @@ def _on(paved: shapely.Geometry, place: Floats, right: Floats, pairs: Floats) ->
 
 
 def _pairs(offset: Floats, reach_m: float) -> Floats:
-    """Neighbouring edges (k, 2) between which the track may lie, of sorted offsets.
-
-    Parameters
-    ----------
-    reach_m : how far beside them it may lie.
-    """
+    """Neighbouring edges (k, 2), of sorted offsets, between which or so far beside a track lies."""
     gaps = np.flatnonzero(np.diff(offset) >= _NARROWEST_M)
     found = []
     for g in gaps:

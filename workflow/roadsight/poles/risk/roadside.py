@@ -262,12 +262,7 @@ def section_table(
 def _along_roads(
     surroundings: Surroundings, every_m: float
 ) -> list[tuple[str, str, int, float, int, Floats, Floats, CrossSection]]:
-    """Cross-sections along both sides of every road, at whole multiples of ``every_m``.
-
-    Returns
-    -------
-    name, owner (none), road, station (m), side, edge (2,), way outwards (2,), section
-    """
+    """Name, no owner, road, station, side, edge, way outwards and section, every so many metres."""
     found = []
     for number, road in enumerate(surroundings.roads.roads):
         first = np.ceil(road.start_m / every_m) * every_m

@@ -218,12 +218,7 @@ def _known_measures(road: Road, routes: Sequence[Route]) -> tuple[Floats, Floats
 
 
 def _measured(road: Road, name: str, at: Floats, value: Floats) -> Road:
-    """The road with the measure of its route, turned round if that rises the other way.
-
-    Parameters
-    ----------
-    at, value : as `_known_measures` returns them, two or more.
-    """
+    """The road with the measure of its route, turned round if that rises the other way."""
     plan = along_m(road.xy_m)
     rising = bool(value[-1] >= value[0])
     value = value if rising else -value

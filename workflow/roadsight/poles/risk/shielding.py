@@ -122,10 +122,8 @@ def _barrier_doubts(
 ) -> list[Doubt]:
     """Doubts about barriers that count for nothing.
 
-    Parameters
-    ----------
-    lost : names of those along no road, and how far each is from one, m (NaN without roads).
-    bare : names of others, and along which of their places no edge is known.
+    Those that are lost are along no road, so far from one (NaN without roads); those that are bare
+    have places along which no edge is known.
     """
     found = []
     if lost:

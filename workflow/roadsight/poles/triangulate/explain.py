@@ -225,12 +225,7 @@ def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
 
 
 def _as_one(grower: Grower, first: Pole, second: Pole, free: Bools) -> Pole | None:
-    """One pole of the rays of two, from the places of both and between.
-
-    Parameters
-    ----------
-    free : no ray is; the same when it returns.
-    """
+    """One pole of the rays of two, from the places of both and between; no ray stays free."""
     free[first.members] = free[second.members] = True
     best = None
     middle = (0.5 * (first.x + second.x), 0.5 * (first.y + second.y))
@@ -277,9 +272,7 @@ def _insert(grower: Grower, poles: list[Pole], others: list[Pole]) -> list[Pole]
 def _with_forced(grower: Grower, other: Pole, rivals: list[Pole], free: Bools) -> list[Pole]:
     """A pole that is forced in, and what its rivals become without its rays, best rival first.
 
-    Parameters
-    ----------
-    free : rays of no pole; when it returns, rays of none of the poles that come back.
+    ``free`` tells which rays are of no pole; when it returns, of none of the poles that come back.
     """
     for rival in rivals:
         free[rival.members] = True

@@ -177,9 +177,7 @@ def fit_groups(
 def _extended(members: Ints, keys: Ints, rays: int) -> Ints:
     """Each group with each later ray that pairs with all of it.
 
-    Parameters
-    ----------
-    keys : of the pairs, ascending: the number of the first ray times all rays, plus the second's.
+    Keys of pairs, the first ray's number times all rays plus the second's, ascend.
     """
     start = np.searchsorted(keys, np.arange(rays + 1) * rays)
     last = members[:, -1]

@@ -57,6 +57,46 @@ class Energy:
 FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)  # constants of the first code
 
 
+def published_poles(
+    rays: Rays, settings: TriangulationSettings, latitude_deg: float, seed: int
+) -> tuple[Ints, Floats]:
+    """Poles as the published code finds them, quirks included, in a seeded random order.
+
+    Its unit of distance is 2.5 cos(latitude) m, its clusters are made in degrees, and images are
+    not told apart.
+
+    Returns
+    -------
+    as `cluster_rays`
+    """
+    narrow = float(np.cos(np.radians(latitude_deg)))
+    least_m = _MIN_BASELINE_M / _EARTH_RATIO
+    links = find_links(rays, settings.max_distance_m, UNIT_M * narrow, least_m)
+    on = sweep_links(links, rays.depth_m, FIRST_CODE, np.random.default_rng(seed))
+    diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))
+    return cluster_rays(links, on, len(rays), diagonal, np.array([1 / narrow, 1.0]))
+
+
+def swept_poles(rays: Rays, settings: TriangulationSettings) -> tuple[Ints, Floats]:
+    """Poles by the pole study's deterministic method, in metres (section 3.4); as `cluster_rays`.
+
+    Rays are taken in the order of the drive, as the authors' file has them, so that the order of
+    links is theirs. Their unit of distance, which is not the metre, is not followed.
+    """
+    order = np.lexsort((rays.sequence, rays.route))
+    driven = rays.take(order)
+    links = find_links(driven, settings.sweep_distance_m)
+    different = driven.image[links.pairs[:, 0]] != driven.image[links.pairs[:, 1]]
+    links = Links(links.pairs[different], links.along[different], links.place_m[different])
+    energy = Energy(settings.depth_weight, settings.spread_weight)
+    on = sweep_links(links, driven.depth_m, energy)
+    own, places = cluster_rays(links, on, len(rays), settings.cluster_m)
+    own, places = merge_along_drive(driven, own, places, settings.sequence_m)
+    labels = np.empty(len(rays), np.int64)
+    labels[order] = own
+    return labels, places
+
+
 @dataclass(frozen=True)
 class Links:
     """Possible links between rays.
@@ -168,46 +208,6 @@ def cluster_rays(
     size = np.bincount(label, minlength=clusters)
     places = [np.bincount(label, axis, minlength=clusters) / size for axis in mean.T]
     return labels, np.column_stack(places) + origin
-
-
-def published_poles(
-    rays: Rays, settings: TriangulationSettings, latitude_deg: float, seed: int
-) -> tuple[Ints, Floats]:
-    """Poles as the published code finds them, quirks included, in a seeded random order.
-
-    Its unit of distance is 2.5 cos(latitude) m, its clusters are made in degrees, and images are
-    not told apart.
-
-    Returns
-    -------
-    as `cluster_rays`
-    """
-    narrow = float(np.cos(np.radians(latitude_deg)))
-    least_m = _MIN_BASELINE_M / _EARTH_RATIO
-    links = find_links(rays, settings.max_distance_m, UNIT_M * narrow, least_m)
-    on = sweep_links(links, rays.depth_m, FIRST_CODE, np.random.default_rng(seed))
-    diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))
-    return cluster_rays(links, on, len(rays), diagonal, np.array([1 / narrow, 1.0]))
-
-
-def swept_poles(rays: Rays, settings: TriangulationSettings) -> tuple[Ints, Floats]:
-    """Poles by the pole study's deterministic method, in metres (section 3.4); as `cluster_rays`.
-
-    Rays are taken in the order of the drive, as the authors' file has them, so that the order of
-    links is theirs. Their unit of distance, which is not the metre, is not followed.
-    """
-    order = np.lexsort((rays.sequence, rays.route))
-    driven = rays.take(order)
-    links = find_links(driven, settings.sweep_distance_m)
-    different = driven.image[links.pairs[:, 0]] != driven.image[links.pairs[:, 1]]
-    links = Links(links.pairs[different], links.along[different], links.place_m[different])
-    energy = Energy(settings.depth_weight, settings.spread_weight)
-    on = sweep_links(links, driven.depth_m, energy)
-    own, places = cluster_rays(links, on, len(rays), settings.cluster_m)
-    own, places = merge_along_drive(driven, own, places, settings.sequence_m)
-    labels = np.empty(len(rays), np.int64)
-    labels[order] = own
-    return labels, places
 
 
 def merge_along_drive(
