@@ -113,8 +113,7 @@ def confirmed(table: pd.DataFrame, seen: pd.DataFrame) -> pd.DataFrame:
     found = table[keys].drop_duplicates().sort_values(keys, ignore_index=True)
     votes = seen.assign(shown=seen["answer"] == SEEN, against=seen["answer"] == AGAINST, asked=True)
     count = votes.groupby(keys, as_index=False)[["shown", "against", "asked"]].sum()
-    named = votes[votes["shown"]].groupby(keys, as_index=False)[["image", "route"]]
-    named = named.agg(lambda names: ";".join(sorted(set(names.astype(str)))))
+    named = votes[votes["shown"]].groupby(keys, as_index=False)[["image", "route"]].agg(joined)
     found = found.merge(count, on=keys, how="left").merge(named, on=keys, how="left")
     shown, against, asked = (
         found[n].fillna(0).to_numpy(np.int64) for n in ("shown", "against", "asked")
@@ -134,3 +133,8 @@ def confirmed(table: pd.DataFrame, seen: pd.DataFrame) -> pd.DataFrame:
             "reason": reason.astype(object),
         }
     )
+
+
+def joined(names: pd.Series) -> str:
+    """Each name once, in order, parted by semicolons."""
+    return ";".join(sorted(set(names.astype(str))))

@@ -45,13 +45,13 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     if settings.method == "sweep":
         labels, places = swept_poles(rays, settings)
         order = np.lexsort((places[:, 1], places[:, 0]))
-        number = np.append(np.argsort(order), -1)
+        rank = np.append(np.argsort(order), -1)
         unknown = dict.fromkeys(POLE_COLUMNS[3:-2], np.nan)
         views = np.bincount(labels[labels >= 0], minlength=len(places))
         poles = pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "score": views}).iloc[order]
         poles = poles.reset_index(drop=True).assign(**unknown, kept=True, reason="")
         poles = poles.assign(evidence=np.nan).astype({"kept": bool, "reason": object})
-        return poles, number[labels], 1.0
+        return poles, rank[labels], 1.0
     if settings.method == "listing":
         groups, places, covariances, scale = choose_listed(rays, settings)
         evidence = np.full(len(groups), np.nan)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.sightings.confirm import joined
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS
 from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
@@ -107,7 +108,7 @@ def site_poles(
     poles = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
     # Names of the images and routes that show each pole.
     shown = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
-    named = shown.groupby(pole_of[pole_of >= 0]).agg(lambda names: ";".join(sorted(set(names))))
+    named = shown.groupby(pole_of[pole_of >= 0]).agg(joined)
     named = named.reindex(range(len(poles)), fill_value="")
     poles = poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
     return poles, pole_of, scales
