@@ -31,7 +31,7 @@ OTHER = {
     "poles/images/pole_masks.py": ("kind", "what is looked for in a mask"),
     "poles/risk/changes.py": ("reach_m", "between two surveys"),
     "poles/risk/roads.py": ("offset_m", "from a road's axis"),
-    "poles/sightings/metric_depth.py": ("farthest_m", "feet on the ground"),
+    "poles/sightings/distances.py": ("farthest_m", "feet on the ground"),
     "scene/curbs.py": ("reach_m nearest_m window_m shortest_m", "of kerbs beside a track"),
     "stages/scene/rasterise_lidar.py": ("reach_m", "of a place to pavement"),
     "scene/pavement/road_surface.py": ("window_m", "of a surface's own roughness"),

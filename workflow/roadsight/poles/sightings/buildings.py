@@ -51,10 +51,7 @@ def block_cells(xyz_m: Floats) -> BlockCells:
     cell = np.floor(xyz_m[:, :2] / CELL_M).astype(np.int64)
     index, own = np.unique(cell, axis=0, return_inverse=True)
     own = own.ravel()
-    top, low = np.full(len(index), -np.inf), np.full(len(index), np.inf)
-    np.maximum.at(top, own, xyz_m[:, 2])
-    np.minimum.at(low, own, xyz_m[:, 2])
-    return BlockCells(index.reshape(-1, 2), top, low)
+    return BlockCells(index.reshape(-1, 2), *_extremes(own, xyz_m[:, 2], xyz_m[:, 2]))
 
 
 def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
@@ -67,9 +64,8 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
     if not len(index):
         return []
     index, own = np.unique(index, axis=0, return_inverse=True)
-    top, low = np.full(len(index), -np.inf), np.full(len(index), np.inf)
-    np.maximum.at(top, own.ravel(), np.concatenate([part.top_m for part in parts]))
-    np.minimum.at(low, own.ravel(), np.concatenate([part.low_m for part in parts]))
+    top, low = (np.concatenate([getattr(p, n) for p in parts]) for n in ("top_m", "low_m"))
+    top, low = _extremes(own.ravel(), top, low)
     pairs = cKDTree(index).query_pairs(_JOIN_CELLS, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(index), len(index)))
     _, part = connected_components(graph, directed=False)
@@ -96,6 +92,15 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
                 xy = shapely.get_coordinates(shapely.line_interpolate_point(shape.exterior, places))
                 found.append(Block(xy, float(top[own].max()), float(shape.area)))
     return sorted(found, key=lambda block: (block.outline_m[:, 0].min(), block.outline_m[0, 1]))
+
+
+def _extremes(cell: Ints, top_m: Floats, low_m: Floats) -> tuple[Floats, Floats]:
+    """Greatest and least height in each cell, numbered from 0."""
+    count = int(cell.max(initial=-1)) + 1
+    top, low = np.full(count, -np.inf), np.full(count, np.inf)
+    np.maximum.at(top, cell, top_m)
+    np.minimum.at(low, cell, low_m)
+    return top, low
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:
@@ -140,9 +145,7 @@ def roof_cells(xyz_m: Floats, above_ground_m: Floats, cls: Bytes, own: Bools) ->
     number = number.ravel()
     plane = _on_planes(points)[own]
     most = np.bincount(number, plane, len(cells)) >= _PLANE_SHARE * np.bincount(number)
-    top, ground = np.full(len(cells), -np.inf), np.full(len(cells), np.inf)
-    np.maximum.at(top, number, points[own, 2])
-    np.minimum.at(ground, number, points[own, 2] - above_ground_m[raised][own])
+    top, ground = _extremes(number, points[own, 2], points[own, 2] - above_ground_m[raised][own])
     return BlockCells(cells.reshape(-1, 2)[most], top[most], ground[most])
 
 

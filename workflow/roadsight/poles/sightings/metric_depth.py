@@ -6,7 +6,6 @@ The paper maps relative depth d to the camera's z by d = c1 / (-z) + c2 with z n
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ _ROUNDS = 30  # rounds of least absolute errors, and as many of the bisquare aft
 # Standard deviations from the pole of the relation within which depth is unknown.
 _GUARD_SIGMAS = 2.0
 _BINS = 12  # stretches of log depth that have the same say
-_MARCH_FROM_M, _MARCH_M = 1.0, 0.25  # start and step of the march of a ray along the ground
+
 _AGREE_SIGMAS = 3.0  # distances agree within so many common sigmas
 _LEAST_POINTS = 8  # points of known depth that two coefficients need
 # Farthest over nearest known depth: with less, scale and shift of the map look alike.
@@ -183,40 +182,6 @@ def balancing_weights(z_m: ArrayLike) -> Floats:
         return z
     number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * _BINS).astype(int), 0, _BINS - 1)
     return 1.0 / np.bincount(number, minlength=_BINS)[number]
-
-
-# Ground height (n,) at local x, y (n,), NaN where unknown.
-HeightAt = Callable[[Floats, Floats], Floats]
-
-
-def ground_distance_m(
-    origin_m: ArrayLike, rays: Floats, height_at: HeightAt, farthest_m: float = 120.0
-) -> Floats:
-    """Horizontal distance (n,) at which rays first go below the ground; NaN if they do not.
-
-    Parameters
-    ----------
-    origin_m : camera centre (3,), local metres. rays : directions (n, 3) in the local frame.
-    height_at : the terrain. farthest_m : of the march along the ground.
-    """
-    origin = np.asarray(origin_m, np.float64)
-    rays = np.asarray(rays, np.float64)
-    level = np.hypot(rays[:, 0], rays[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        unit = rays / level[:, None]
-    steps = np.arange(_MARCH_FROM_M, farthest_m + _MARCH_M, _MARCH_M)
-    x = origin[0] + unit[:, :1] * steps
-    y = origin[1] + unit[:, 1:2] * steps
-    flat = np.isfinite(x) & np.isfinite(y)
-    ground = height_at(np.where(flat, x, np.nan).ravel(), np.where(flat, y, np.nan).ravel())
-    above = origin[2] + unit[:, 2:] * steps - ground.reshape(x.shape)
-    crossed = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-    first = np.argmax(crossed, axis=1)
-    lines = np.arange(len(rays))
-    before, after = above[lines, first], above[lines, first + 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = steps[first] + _MARCH_M * before / (before - after)
-    return np.where(crossed.any(axis=1), distance, np.nan)
 
 
 def fuse_depths(depths_m: ArrayLike, sigmas_m: ArrayLike) -> tuple[float, float, Bools]:

@@ -20,21 +20,24 @@ from roadsight.poles.images.pole_masks import (
     find_instances,
     published_instances,
 )
+from roadsight.poles.sightings.distances import (
+    HeightAt,
+    behind_plants,
+    fit_view_depth,
+    foot_distances,
+    ground_distances,
+    network_distances,
+)
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.metric_depth import DepthFit, HeightAt, fuse_depths
+from roadsight.poles.sightings.metric_depth import DepthFit, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
     OWN_COLUMN,
     SNAP_DEPTHS,
     TURNED_COLUMNS,
     ViewCamera,
-    behind_plants,
-    fit_view_depth,
-    foot_distances,
-    ground_distances,
     image_bearings,
     matching_columns,
     nearest_projected,
-    network_distances,
     turned_by_camera,
     with_place,
 )
