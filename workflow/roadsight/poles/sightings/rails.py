@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
@@ -229,21 +229,17 @@ def join_rails(returns: RailReturns) -> list[Floats]:
         own = np.flatnonzero(part == number)
         if len(own) < _SHORTEST_M / _LINK_M:
             continue
-        line = _smoothed(returns.xyz_m[own[_longest_way(graph[own][:, own])]])
+        # The way between the two that are farthest from each other.
+        joined = graph[own][:, own]
+        first = int(np.argmax(dijkstra(joined, directed=False, indices=0)))
+        away, before = dijkstra(joined, directed=False, indices=first, return_predecessors=True)
+        nodes = [int(np.argmax(away))]
+        while nodes[-1] != first:
+            nodes.append(int(before[nodes[-1]]))
+        line = _smoothed(returns.xyz_m[own[nodes]])
         if line is not None:
             lines.append(line if line[0, 0] <= line[-1, 0] else line[::-1].copy())
     return sorted(lines, key=lambda line: (line[0, 0], line[0, 1]))
-
-
-def _longest_way(graph: csr_matrix) -> Ints:
-    """Nodes of the way between the two that are farthest from each other."""
-    away = dijkstra(graph, directed=False, indices=0)
-    first = int(np.argmax(away))
-    away, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    way = [int(np.argmax(away))]
-    while way[-1] != first:
-        way.append(int(before[way[-1]]))
-    return np.array(way, np.int64)
 
 
 def _smoothed(places: Floats) -> Floats | None:

@@ -82,8 +82,14 @@ def find_stems(
         own = np.flatnonzero(chain == number)
         # What follows above or below may lead away from the stem.
         own = own[np.hypot(*(places[own] - np.median(places[own], axis=0)).T) <= _SHIFT_M]
-        middle = _middle(places[own], layers[own])
-        if middle is None:
+        if len(np.unique(layers[own])) < _SLICES:
+            continue
+        # A stem is straight and upright.
+        rise = (layers[own] - layers[own].mean()) * _LAYER_M
+        middle = places[own].mean(axis=0)
+        slope = rise @ (places[own] - middle) / (rise @ rise)
+        off = places[own] - middle - rise[:, None] * slope
+        if np.hypot(*slope) > _STEEPEST or np.sqrt((off**2).sum(axis=1).mean()) > _BENT_M:
             continue
         low, high = layers[own].min() * _LAYER_M, (layers[own].max() + 1) * _LAYER_M
         rows = np.sort(np.array(plan.query_ball_point(middle, _NEAR_M), np.int64))
@@ -153,19 +159,6 @@ def _reaches(cells: int) -> tuple[Floats32, Floats32]:
 
 def _summed(image: Floats32, window: Floats32) -> Floats32:
     return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
-
-
-def _middle(xy: Floats, layer: Ints) -> Floats | None:
-    """Middle (2,) of a chain that is straight, upright and tall enough, else None."""
-    if len(np.unique(layer)) < _SLICES:
-        return None
-    height = (layer - layer.mean()) * _LAYER_M
-    middle = np.asarray(xy.mean(axis=0), np.float64)
-    slope = height @ (xy - middle) / (height @ height)
-    off = xy - middle - height[:, None] * slope
-    if np.hypot(*slope) > _STEEPEST or np.sqrt((off**2).sum(axis=1).mean()) > _BENT_M:
-        return None
-    return middle
 
 
 def _columns(rows: list[tuple[float, ...]]) -> PoleColumns:
@@ -254,8 +247,15 @@ def stem_shapes(
     class (n,). excluded_classes : those that no return of a pole has.
     """
     found = np.full((len(columns), 5), np.nan)
-    used = ~np.isin(cls, excluded_classes)
-    points = _around(columns.xy_m, xyz_m[used], above_ground_m[used])
+    if not len(columns):
+        return StemShapes(*found.T)
+    with np.errstate(invalid="ignore"):
+        used = ~np.isin(cls, excluded_classes) & (above_ground_m > _LOWEST_M)
+    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
+    # Those that may be of stems, arms and wires; one for each small cell, so that a dense cloud
+    # takes no longer and counts no more.
+    away, _ = cKDTree(columns.xy_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
+    points = thinned(points[np.isfinite(away)], _THIN_M)
     if len(points):
         tree = cKDTree(points[:, :2])
         for row, (axis, top_m) in enumerate(zip(columns.xy_m, columns.top_m, strict=True)):
@@ -268,20 +268,6 @@ def stem_shapes(
                 around[:, :2] -= middle + around[:, 2:] * slope
             found[row] = lean, azimuth, np.degrees(sigma), *_arm(around, top_m)
     return StemShapes(*np.ascontiguousarray(found.T))
-
-
-def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
-    """Returns (n, 3) that may be of stems, arms and wires, with heights above the ground.
-
-    One for each small cell, their mean, so that a dense cloud takes no longer and counts no more.
-    """
-    if not len(axes_m):
-        return np.empty((0, 3))
-    with np.errstate(invalid="ignore"):
-        used = above_ground_m > _LOWEST_M
-    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
-    away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
-    return thinned(points[np.isfinite(away)], _THIN_M)
 
 
 def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
