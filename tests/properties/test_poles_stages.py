@@ -14,7 +14,6 @@ from roadsight.poles.drive.videolog import headings_deg
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import find_instances
-from roadsight.poles.risk.hazard import rate_poles
 from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
@@ -27,6 +26,7 @@ from roadsight.scene.voxel_classes import (
     seen_from_above,
     settle,
 )
+from tests.helpers.rated_poles import rate_poles
 
 SEEDS = st.integers(0, 2**31)
 ANGLES = st.floats(-180.0, 180.0)

@@ -13,7 +13,8 @@ from roadsight.poles.images.lanes import fit_curve
 from roadsight.poles.images.networks import LabelMap, folder_mask, packed_depth
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.images.views import turned
-from roadsight.poles.sightings.sighting_bearing import ViewCamera, ground_distances, sample_depth
+from roadsight.poles.sightings.distances import ground_distances, sample_depth
+from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight_hardcases.case import Errors, fails, hard_case
 
 

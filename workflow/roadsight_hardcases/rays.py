@@ -8,7 +8,8 @@ from pyproj import Geod
 from scipy.optimize import curve_fit
 
 from roadsight.base.arrays import Numbers
-from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
+from roadsight.poles.sightings.distances import ground_distance_m
+from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, cross_rays, make_rays, pair_rays

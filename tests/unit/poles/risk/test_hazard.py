@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 
 from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
-from roadsight.poles.risk.hazard import beside_travelled_way, rate_poles, rate_roadside, side_slopes
+from roadsight.poles.risk.hazard import beside_travelled_way, rate_roadside, side_slopes
 from roadsight.poles.risk.roads import RouteTracks, roads_of
 from roadsight.poles.risk.roadside import Surroundings, edges_at
 from roadsight.poles.risk.shielding import barriers_along
+from tests.helpers.rated_poles import rate_poles
 
 X = np.arange(0, 400, 0.3)
 EDGES = np.concatenate([np.column_stack([X, np.full(len(X), y)]) for y in (-4.0, 4.0)])

@@ -5,19 +5,15 @@ import pandas as pd
 import pytest
 
 from roadsight.base.sections.poles import Hazard
-from roadsight.poles.risk.hazard import HAZARD_COLUMNS, ROADSIDE_COLUMNS, rate_poles, rate_roadside
+from roadsight.poles.risk.hazard import HAZARD_COLUMNS, ROADSIDE_COLUMNS, rate_roadside
 from roadsight.poles.risk.inventory import check_inventory
 from roadsight.poles.risk.roads import RouteTracks, roads_of
-from roadsight.poles.risk.roadside import (
-    SECTION_COLUMNS,
-    Surroundings,
-    section_rows,
-    station_sections,
-)
+from roadsight.poles.risk.roadside import Surroundings, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
 from roadsight.poles.risk.shielding import barriers_along
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.videolog import random_drives, shots
+from tests.helpers.rated_poles import rate_poles
 from tests.helpers.rural_sections import exact_height, ground_points, open_stations, true_hinges
 
 RULES = Hazard()
@@ -128,14 +124,13 @@ def test_barriers_shield_and_lower_the_rating(scene):
 
 def test_tables_of_sections(scene):
     known = Surroundings(scene.roads, None, scene.points)
-    sections = station_sections(known, 25.0)
-    assert {side for _, _, _, side, _, _, _ in sections} == {-1, 1}
-    name, _, station, side, edge, outward, section = sections[0]
-    rows = section_rows(name, "", "sr1427e", station, side, edge, outward, section)
-    table = pd.DataFrame(rows, columns=SECTION_COLUMNS)
-    assert station % 25 == 0
-    assert table["end_m"].iloc[-1] == pytest.approx(12, abs=0.3)
-    assert set(table["kind"]) >= {"shoulder", "foreslope"}
+    nobody, nowhere = scene.roads.locate(np.empty((0, 2))), np.empty((0, 2))
+    table = section_table(known, [], nobody, nowhere, nowhere, [], 25.0)
+    assert set(table["side"]) == {-1, 1}
+    assert (table["station_m"] % 25 == 0).all()
+    first = table[table["section"] == table["section"].iloc[0]]
+    assert first["end_m"].iloc[-1] == pytest.approx(12, abs=0.3)
+    assert set(first["kind"]) >= {"shoulder", "foreslope"}
 
 
 def test_rows_of_other_indexes_and_unknown_surroundings(scene):

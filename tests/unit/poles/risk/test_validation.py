@@ -132,17 +132,15 @@ def test_straight_curved_and_crossing():
     assert errors["extraneous"] is None
 
 
-def test_tracks_stand_still_jump_routes_and_give_sides():
+def test_tracks_stand_still_and_jump_routes():
     xy = np.array([[0.0, 0], [10, 0], [10, 0], [20, 0]])
     tracks = RouteTracks(pd.concat([track(xy), track(xy + np.array([0, 100.0]), "b")]))
     piece, station_m, foot = tracks.locate(np.array([[15.0, 4], [15, 95]]))
     assert tracks.route[piece].tolist() == [0, 1]
     assert station_m == pytest.approx([15, 15])
     assert foot[0] == pytest.approx([15, 0])
-    assert tracks.side(np.array([[15.0, 4], [15, 95], [5, 0]])).tolist() == [-1, 1, 0]
     nowhere = RouteTracks(track(xy[:1]))
     assert len(nowhere) == 0
-    assert nowhere.side(np.zeros((1, 2))).tolist() == [0]
 
 
 def test_an_error_across_the_limit_is_not_counted_twice():

@@ -5,12 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.poles.sightings.metric_depth import (
-    balancing_weights,
-    fit_metric_depth,
-    fuse_depths,
-    ground_distance_m,
-)
+from roadsight.poles.sightings.distances import ground_distance_m
+from roadsight.poles.sightings.metric_depth import balancing_weights, fit_metric_depth, fuse_depths
 
 TRUE_C1 = 6.0
 TRUE_C2 = -0.2

@@ -8,12 +8,12 @@ import pytest
 from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import Intrinsics, project, wrap_deg
 from roadsight.poles.images.kinds import PixelClass
+from roadsight.poles.sightings.distances import fit_front_depth
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.sighting_bearing import (
     OWN_COLUMN,
     TURNED_COLUMNS,
     ViewCamera,
-    fit_front_depth,
     image_bearings,
     matching_columns,
     nearest_projected,

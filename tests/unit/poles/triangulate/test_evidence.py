@@ -23,7 +23,7 @@ from roadsight.poles.triangulate.association import (
     speaks,
 )
 from roadsight.poles.triangulate.explain import associate, explain_rays, likelihood
-from roadsight.poles.triangulate.locate import choose_groups
+from roadsight.poles.triangulate.listing import choose_groups
 from roadsight.poles.triangulate.noise import Noise, fit_noise, misfits, place_groups, stated_noise
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from tests.helpers.drives import Drive, on_road, rays_and_poles, simulate

@@ -9,23 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
-from roadsight.poles.triangulate.locate import (
-    calibrate_depths,
-    choose_groups,
-    drop_near_structures,
-    error_ellipse,
-    shares_above,
-    triangulate,
-    withhold_thin,
-    withhold_under_crowns,
-)
-from roadsight.poles.triangulate.merging import (
+from roadsight.poles.triangulate.explain import explain_rays
+from roadsight.poles.triangulate.listing import (
     Points,
+    choose_groups,
     fit_groups,
     follows_sequence,
     locate_points,
     merge_groups,
 )
+from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.noise import place_groups, stated_noise
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
@@ -34,18 +27,20 @@ from roadsight.poles.triangulate.rays import (
     make_rays,
     pair_rays,
 )
-from roadsight.poles.triangulate.site import (
+from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
+from roadsight.poles.triangulate.withhold import (
     FILLED,
     LOW,
-    POLE_COLUMNS,
-    SHARED_COLUMNS,
     STANDING,
     UNEVEN,
     are_filled,
+    drop_near_structures,
     panel_edges,
-    site_poles,
+    shares_above,
     withhold_by_height,
     withhold_filled,
+    withhold_thin,
+    withhold_under_crowns,
 )
 from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
 
@@ -153,8 +148,9 @@ def test_empty_and_single_rows():
 def test_depth_scale_is_found_from_the_crossings():
     _, rows = street(poles=30, noise_depth=0.15, gap_m=5.0)
     rows[:, 3] /= 1.4
-    assert calibrate_depths(rays_of(rows), FINE) == pytest.approx(1.4, rel=0.1)
-    assert calibrate_depths(rays_of(rows[:12]), FINE) == 1.0
+    calibrating = FINE.model_copy(update={"calibrate_depth": True})
+    assert explain_rays(rays_of(rows), calibrating).scale == pytest.approx(1.4, rel=0.1)
+    assert explain_rays(rays_of(rows[:12]), calibrating).scale == 1.0
 
 
 def test_group_place_is_the_least_squares_place(rng):

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from roadsight.base.sections.poles import Triangulation
 from roadsight.poles.risk.validation import score_thresholds
@@ -17,7 +18,6 @@ from roadsight.poles.triangulate.published import (
     Energy,
     Links,
     cluster_rays,
-    cluster_reference,
     find_links,
     merge_along_drive,
     sweep_links,
@@ -184,7 +184,7 @@ def test_clusters_agree_with_scipy(rng):
     pairs = np.column_stack([np.arange(60), np.arange(60, 120)])
     links = Links(pairs, np.ones((60, 2)), places)
     labels, _ = cluster_rays(links, np.ones(60, bool), 120, 1.0)
-    slow = cluster_reference(places, 1.0)
+    slow = fcluster(linkage(places), 1.0, criterion="distance")
     assert np.array_equal(labels[:60, None] == labels[:60], slow[:, None] == slow)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -14,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Floats
 
 COLUMNS = ("status", "id", "old_id", "new_id", "kind", "moved_m", "limit_m", "x", "y")
 STATUSES = ("same", "moved", "new", "gone")
@@ -58,17 +57,26 @@ def changes(
     is taken get the next free number. ``limit_m`` : further apart counts as moved.
     """
     own = settings or ChangeSettings()
-    pairs = _pairs(old, new, own.reach_m)
+    found_pairs: list[tuple[int, int]] = []
+    for kind in sorted(set(old["kind"]) & set(new["kind"])):
+        a, b = (np.flatnonzero((table["kind"] == kind).to_numpy()) for table in (old, new))
+        before, after = (table[["x", "y"]].to_numpy(np.float64) for table in (old, new))
+        near = _nearest(before[a], after[b], own.reach_m)
+        found_pairs += [(int(a[i]), int(b[j])) for i, j in near]
+    pairs = np.array(sorted(found_pairs), np.int64).reshape(-1, 2)
     rows: list[tuple] = []
     for a, b in pairs:
         first, second = old.iloc[a], new.iloc[b]
         gap = float(np.hypot(second["x"] - first["x"], second["y"] - first["y"]))
-        sigma = float(np.hypot(_sigma(first, own), _sigma(second, own)))
-        limit = own.sigmas * sigma
+        limit = own.sigmas * float(np.hypot(_sigma(first, own), _sigma(second, own)))
         status = "moved" if gap > limit else "same"
         rows.append((status, first, second, gap, limit))
-    rows += [("gone", old.iloc[a], None, np.nan, np.nan) for a in _others(len(old), pairs[:, 0])]
-    rows += [("new", None, new.iloc[b], np.nan, np.nan) for b in _others(len(new), pairs[:, 1])]
+    alone_old, alone_new = (
+        np.setdiff1d(np.arange(len(table)), used).tolist()
+        for table, used in zip((old, new), pairs.T, strict=True)
+    )
+    rows += [("gone", old.iloc[a], None, np.nan, np.nan) for a in alone_old]
+    rows += [("new", None, new.iloc[b], np.nan, np.nan) for b in alone_new]
     taken = {str(name) for name in old["id"]}
     found = []
     for status, first, second, gap, limit in rows:
@@ -81,17 +89,6 @@ def changes(
     order = table["status"].map({name: n for n, name in enumerate(STATUSES)})
     keys = table.assign(order=order).sort_values(["order", "id"], kind="stable").index
     return table.loc[keys].reset_index(drop=True)
-
-
-def _pairs(old: pd.DataFrame, new: pd.DataFrame, reach_m: float) -> Ints:
-    """Rows of old and new that are one object (n, 2)."""
-    found: list[tuple[int, int]] = []
-    for kind in sorted(set(old["kind"]) & set(new["kind"])):
-        rows = [np.flatnonzero((table["kind"] == kind).to_numpy()) for table in (old, new)]
-        before, after = (table[["x", "y"]].to_numpy(np.float64) for table in (old, new))
-        near = _nearest(before[rows[0]], after[rows[1]], reach_m)
-        found += [(int(rows[0][a]), int(rows[1][b])) for a, b in near]
-    return np.array(sorted(found), np.int64).reshape(-1, 2)
 
 
 def _nearest(a_m: Floats, b_m: Floats, reach_m: float) -> list[tuple[int, int]]:
@@ -118,10 +115,6 @@ def _nearest(a_m: Floats, b_m: Floats, reach_m: float) -> list[tuple[int, int]]:
             if gap[i, j] <= reach_m
         ]
     return sorted(found)
-
-
-def _others(count: int, used: Ints) -> Sequence[int]:
-    return np.setdiff1d(np.arange(count), used).tolist()
 
 
 def _sigma(row: pd.Series, settings: ChangeSettings) -> float:

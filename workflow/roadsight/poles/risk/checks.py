@@ -17,22 +17,20 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.validation import THRESHOLDS_M, describe
 
+# Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks.
 POLE, NONE, MISSED = "pole", "none", "missed"
-"""Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks."""
-FEWEST = 20
-"""Checked places that the national standard for spatial data accuracy asks for."""
+FEWEST = 20  # checked places that the national standard for spatial data accuracy asks for
+# Values of a column at most that are strata of their own; numbers with more are cut in thirds.
 LARGEST_STRATA = 10
-"""Values of a column at most that are strata of their own; numbers with more are cut in thirds."""
 _UNKNOWN = "unknown"
 _THIRDS = ("lowest third", "middle third", "highest third")
-_Z95 = 1.959963984540054
-"""Of a normal distribution, 95 % lie within so many standard deviations."""
+_Z95 = 1.959963984540054  # of a normal distribution, 95 % lie within so many standard deviations
+# Radius that holds 95 % of a normal error, over its root mean square distance where both axes are
+# alike, over that of an axis where they are not, and the least ratio of axes for which it holds
+# (FGDC-STD-007.3, appendix 3-A).
 _ROUND, _OVAL, _LEAST_RATIO = 1.7308, 2.4477, 0.6
-"""Radius that holds 95 % of a normal error, over its root mean square distance where both axes
-are alike, over that of an axis where they are not, and the least ratio of axes for which it holds
-(FGDC-STD-007.3, appendix 3-A)."""
+# Places along an axis at which a distribution is summed, and how far out.
 _NODES, _FAR_SIGMAS = 4001, 6.0
-"""Places along an axis at which a distribution is summed, and how far out."""
 
 
 def strata(values: pd.Series) -> pd.Series:
@@ -82,11 +80,7 @@ def draw(names: pd.Series, count: int, rng: np.random.Generator) -> Ints:
 
 
 def score_checks(
-    error_m: Floats,
-    missed: int,
-    stratum: Sequence[str],
-    sizes: dict[str, int],
-    thresholds_m: tuple[float, ...] = THRESHOLDS_M,
+    error_m: Floats, missed: int, stratum: Sequence[str], sizes: dict[str, int]
 ) -> dict[str, Any]:
     """What the checked ones say of all.
 
@@ -112,7 +106,7 @@ def score_checks(
     lacking = sorted(set(sizes) - set(checked.index))
     weight = np.array([sizes[name] / checked[name] for name in stratum], np.float64)
     rows = []
-    for threshold_m in thresholds_m:
+    for threshold_m in THRESHOLDS_M:
         right = stands & (distance_m <= threshold_m)
         tp, fn = int(right.sum()), int((stands & ~right).sum()) + missed
         share = None
@@ -140,6 +134,21 @@ def score_checks(
     } | _nssda(error_m[stands])
 
 
+def _nssda(error_m: Floats) -> dict[str, Any]:
+    """Horizontal accuracy by the national standard for spatial data accuracy."""
+    if not len(error_m):
+        return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
+    rmse = np.sqrt((error_m**2).mean(axis=0))
+    # Along the errors' own axes: a road may run any way on the grid.
+    squares = np.linalg.eigvalsh(error_m.T @ error_m / len(error_m))
+    less, more = np.sqrt(np.maximum(squares, 0.0))
+    return {
+        "nssda_m": radius_95_m(less, more) if len(error_m) >= FEWEST else None,
+        "rmse_x_m": float(rmse[0]),
+        "rmse_y_m": float(rmse[1]),
+    }
+
+
 def wilson(share: float, weight: Floats) -> tuple[float, float]:
     """Interval that holds a share in 95 of 100 samples (Wilson 1927; weights by Kish 1965).
 
@@ -156,26 +165,6 @@ def wilson(share: float, weight: Floats) -> tuple[float, float]:
     middle = (share + _Z95**2 / (2 * n)) / (1 + _Z95**2 / n)
     half = np.sqrt(share * (1 - share) / n + _Z95**2 / (4 * n**2)) * _Z95 / (1 + _Z95**2 / n)
     return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
-
-
-def _nssda(error_m: Floats) -> dict[str, Any]:
-    """Horizontal accuracy by the national standard for spatial data accuracy."""
-    if not len(error_m):
-        return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
-    rmse = np.sqrt((error_m**2).mean(axis=0))
-    enough = len(error_m) >= FEWEST
-    return {
-        "nssda_m": radius_95_m(*_along_own_axes_m(error_m)) if enough else None,
-        "rmse_x_m": float(rmse[0]),
-        "rmse_y_m": float(rmse[1]),
-    }
-
-
-def _along_own_axes_m(error_m: Floats) -> tuple[float, float]:
-    """Root mean squares of errors along their own axes: a road may run any way on the grid."""
-    squares = np.linalg.eigvalsh(error_m.T @ error_m / len(error_m))
-    less, more = np.sqrt(np.maximum(squares, 0.0))
-    return float(less), float(more)
 
 
 def radius_95_m(x_m: float, y_m: float) -> float:

@@ -25,25 +25,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats
 
+# Where the widths are from, as written into results.
 SOURCE = (
     "AASHTO Roadside Design Guide, table 3.1 (metric), wider end of each range;"
     " compared with the Indiana Design Manual, figure 49-2A"
 )
-"""Where the widths are from, as written into results."""
-
-RECOVERABLE_SLOPE = 0.25
-"""Rise over run (1V:4H): vehicles can return from flatter foreslopes."""
-TRAVERSABLE_SLOPE = 1 / 3
-"""1V:3H: vehicles are likely to overturn on steeper foreslopes."""
-_FLAT_SLOPE = 1 / 6
-"""1V:6H: up to this either way the guide's flattest columns hold."""
-
+RECOVERABLE_SLOPE = 0.25  # rise over run (1V:4H): vehicles can return from flatter foreslopes
+TRAVERSABLE_SLOPE = 1 / 3  # 1V:3H: vehicles are likely to overturn on steeper foreslopes
+_FLAT_SLOPE = 1 / 6  # 1V:6H: up to this either way the guide's flattest columns hold
+# Greatest speed of each of the table's classes, metric or in miles an hour: 60 km/h or 40 mph, 80
+# km/h or 50 mph, 90 km/h, 100 km/h.
 _SPEEDS_KMH = (64.4, 80.5, 90.0, 100.0, np.inf)
-"""Greatest speed of each of the table's classes, metric or in miles an hour: 60 km/h or 40 mph, 80
-km/h or 50 mph, 90 km/h, 100 km/h."""
+# Least traffic of each of the table's classes but the first, vehicles a day: "under 750", "750 to
+# 1500", "1500 to 6000", "over 6000". Of the two classes that name 1500 the wider one is taken.
 _AADT = (750.0, 1500.0, np.nextafter(6000.0, np.inf))
-"""Least traffic of each of the table's classes but the first, vehicles a day: "under 750", "750 to
-1500", "1500 to 6000", "over 6000". Of the two classes that name 1500 the wider one is taken."""
 # Columns: foreslope 1V:6H or flatter, foreslope 1V:5H to 1V:4H, backslope 1V:3H,
 # backslope 1V:5H to 1V:4H, backslope 1V:6H or flatter.
 _WIDTHS_M = np.array(
@@ -101,15 +96,16 @@ def clear_zone_m(design_speed_kmh: float, aadt: float, slope: ArrayLike) -> Floa
     return _WIDTHS_M[speed, traffic, column]
 
 
+# Rows of the guide's table 3.2. Wider bends than 900 m need no adjustment.
 _CURVE_RADII_M = (
     900.0, 700.0, 600.0, 500.0, 450.0, 400.0, 350.0, 300.0, 250.0, 200.0, 150.0, 100.0,
 )  # fmt: skip
-"""Rows of the guide's table 3.2. Wider bends than 900 m need no adjustment."""
+# Greatest speed of its columns: 60, 70 and 80 km/h stand beside 40, 45 and 50 mph.
 _CURVE_SPEEDS_KMH = (64.4, 72.5, 80.5, 90.0, 100.0, 110.0)
-"""Greatest speed of its columns: 60, 70 and 80 km/h stand beside 40, 45 and 50 mph."""
+# Of the table; taken where the table is empty because the bend is too tight for the speed.
 _LARGEST_FACTOR = 1.5
-"""Of the table; taken where the table is empty because the bend is too tight for the speed."""
 _E = float("nan")
+# Rows by radius, columns by speed.
 _CURVE_FACTORS = np.array(
     [
         [1.1, 1.1, 1.1, 1.2, 1.2, 1.2],
@@ -126,11 +122,9 @@ _CURVE_FACTORS = np.array(
         [1.5, _E, _E, _E, _E, _E],
     ]
 )
-"""Rows by radius, columns by speed."""
+# Where no design speed is known: from the table's slowest class to its fastest.
 SPEED_RANGE_KMH = (60.0, 110.0)
-"""Where no design speed is known: from the table's slowest class to its fastest."""
-AADT_RANGE = (0.0, 500_000.0)
-"""Where no traffic is known: from none to the busiest roads there are."""
+AADT_RANGE = (0.0, 500_000.0)  # where no traffic is known: from none to the busiest roads there are
 
 
 def curve_factor(radius_m: ArrayLike, design_speed_kmh: float, outside: ArrayLike) -> Floats:

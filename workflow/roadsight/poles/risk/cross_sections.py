@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Floats
 from roadsight.poles.risk.profiles import (
     STEP_M,
     Pieces,
@@ -23,34 +23,28 @@ from roadsight.poles.risk.profiles import (
 )
 
 Height = Callable[[Floats, Floats], Floats]
-
+# 1V:10H: the guide counts flatter ground as level for placing barriers and as a drivable shoulder
+# (RDG 5.6.2.1); shoulders are built with 2 to 8 %.
 LEVEL_SLOPE = 0.1
-"""1V:10H: the guide counts flatter ground as level for placing barriers and as a drivable shoulder
-(RDG 5.6.2.1); shoulders are built with 2 to 8 %."""
-SHOULDER_M = 3.7
-"""Wider level ground beside the pavement is no shoulder: AASHTO's widest is 12 ft."""
+SHOULDER_M = 3.7  # wider level ground beside the pavement is no shoulder: AASHTO's widest is 12 ft
+# Level ground between a foreslope and a backslope is a ditch's bottom up to this width.
 BOTTOM_M = 3.6
-"""Level ground between a foreslope and a backslope is a ditch's bottom up to this width."""
-KERB_M = 0.3
-"""Higher steps up are walls: kerbs are 0.1 to 0.2 m high."""
-_FEWEST = 6
-"""Points of a strip, and heights of a profile."""
-_POOLED_M = 9.0
-"""Strips so far beyond the middle one are pooled with it."""
-_MANY = 3
-"""Strips from which on bins are half as wide."""
-_STRIP_M = 3.0
-"""Length of such a strip along the road."""
-_SHIFTS = 3
-"""Steps in which a strip is moved onto the middle one."""
+KERB_M = 0.3  # higher steps up are walls: kerbs are 0.1 to 0.2 m high
+_FEWEST = 6  # points of a strip, and heights of a profile
+_NARROW_M = 0.5  # narrower foreslopes count only where nothing wider falls
+_BIN_M = 0.2  # of points of the ground
+_STRIP_HALF_M = 3.0  # the strip across the road reaches so far either way along it
+_POOLED_M = 9.0  # strips so far beyond the middle one are pooled with it
+_MANY = 3  # strips from which on bins are half as wide
+_STRIP_M = 3.0  # length of such a strip along the road
+_SHIFTS = 3  # steps in which a strip is moved onto the middle one
+# A strip whose section lies farther aside is of another: on a bend of 80 m radius the farthest is
+# 0.35 m aside.
 _MOST_ASIDE_M = 0.5
-"""A strip whose section lies farther aside is of another: on a bend of 80 m radius the farthest is
-0.35 m aside."""
+# Mean square of a strip's misfit in sigmas up to which it has the same section; about 1.3 is due to
+# noise of both.
 _ALIKE = 2.0
-"""Mean square of a strip's misfit in sigmas up to which it has the same section; about 1.3 is due
-to noise of both."""
-_FAR = 5.0
-"""Single misfits count no more sigmas than this."""
+_FAR = 5.0  # single misfits count no more sigmas than this
 KINDS = ("shoulder", "foreslope", "ditch bottom", "backslope", "level", "kerb", "drop-off", "wall")
 
 
@@ -77,11 +71,6 @@ class Element:
         """Width in plan."""
         return self.end_m - self.start_m
 
-    @property
-    def ratio(self) -> str:
-        """The slope as 1V:nH."""
-        return slope_text(self.slope)
-
 
 @dataclass(frozen=True)
 class CrossSection:
@@ -100,15 +89,10 @@ class CrossSection:
     fall: tuple[float, float, float]
     rise: tuple[float, float, float]
 
-    def foreslope(self, up_to_m: float = np.inf, least_m: float = 0.5) -> tuple[float, float]:
-        """Slope and sigma of the steepest foreslope that starts before ``up_to_m``; else 0, NaN.
-
-        Parameters
-        ----------
-        least_m : narrower pieces count only where nothing wider falls.
-        """
+    def foreslope(self, up_to_m: float = np.inf) -> tuple[float, float]:
+        """Slope and sigma of the steepest foreslope that starts before ``up_to_m``; else 0, NaN."""
         found = [e for e in self.elements if e.kind == "foreslope" and e.start_m < up_to_m]
-        wide = [e for e in found if e.width_m >= least_m] or found
+        wide = [e for e in found if e.width_m >= _NARROW_M] or found
         if not wide:
             return 0.0, float("nan")
         worst = min(wide, key=lambda e: e.slope)
@@ -138,23 +122,19 @@ def slope_text(slope: float) -> str:
     return "level" if abs(slope) < 0.01 else f"1V:{1 / abs(slope):.1f}H"
 
 
-def cross_section(profile: Profile, window_m: float = 1.5) -> CrossSection | None:
+def cross_section(profile: Profile) -> CrossSection | None:
     """Cross-section of a profile; None where it has fewer than six heights."""
     if len(profile) < 6:
         return None
     pieces = fit_pieces(profile)
-    return CrossSection(
-        profile,
-        pieces,
-        name_elements(pieces),
-        steepest(pieces, window_m, -1),
-        steepest(pieces, window_m, +1),
-    )
+    fall, rise = (steepest(pieces, sign) for sign in (-1, +1))
+    return CrossSection(profile, pieces, name_elements(pieces), fall, rise)
 
 
 def name_elements(pieces: Pieces) -> tuple[Element, ...]:
     """Names of the pieces from the edge outwards, and the steps between them."""
-    kinds = [_slope_kind(slope) for slope in pieces.slope]
+    by_slope = [pieces.slope <= -LEVEL_SLOPE, pieces.slope >= LEVEL_SLOPE]
+    kinds = np.select(by_slope, ["foreslope", "backslope"], "level").tolist()
     widths = np.diff(pieces.ends_m)
     lead = 0
     while lead < len(kinds) and kinds[lead] == "level":
@@ -171,17 +151,8 @@ def name_elements(pieces: Pieces) -> tuple[Element, ...]:
         start, end = pieces.ends_m[number : number + 2]
         sigma = float(np.hypot(*pieces.sigma_ends_m[number : number + 2]))
         slope, sigma_slope = pieces.slope[number], pieces.sigma_slope[number]
-        found.append(
-            Element(
-                kind,
-                float(start),
-                float(end),
-                sigma,
-                float(slope),
-                float(sigma_slope),
-                float(slope * (end - start)),
-            )
-        )
+        numbers = (start, end, sigma, slope, sigma_slope, slope * (end - start))
+        found.append(Element(kind, *map(float, numbers)))
         if number < len(kinds) - 1 and abs(pieces.jump_m[number]) >= STEP_M * 0.8:
             jump = float(pieces.jump_m[number])
             name = "drop-off" if jump < 0 else ("kerb" if jump <= KERB_M else "wall")
@@ -189,12 +160,6 @@ def name_elements(pieces: Pieces) -> tuple[Element, ...]:
             nan = float("nan")
             found.append(Element(name, float(end), float(end), sigma, nan, nan, jump))
     return tuple(found)
-
-
-def _slope_kind(slope: float) -> str:
-    if slope <= -LEVEL_SLOPE:
-        return "foreslope"
-    return "backslope" if slope >= LEVEL_SLOPE else "level"
 
 
 def profile_from_heights(
@@ -213,13 +178,7 @@ def profile_from_heights(
 
 
 def profile_from_points(
-    edge_m: Floats,
-    outward: Floats,
-    points_m: Floats,
-    reach_m: float,
-    half_length_m: float = 3.0,
-    bin_m: float = 0.2,
-    tree: cKDTree | None = None,
+    edge_m: Floats, outward: Floats, points_m: Floats, reach_m: float, tree: cKDTree | None = None
 ) -> Profile:
     """Profile of the ground points of a strip across the road, its slope along the road removed.
 
@@ -228,62 +187,62 @@ def profile_from_points(
 
     Parameters
     ----------
-    points_m : (n, 3) ground points. half_length_m : the strip reaches so far either way along the
-        road. tree : of the points' plan places, if at hand.
+    points_m : (n, 3) ground points. tree : of their plan places, if at hand.
     """
     middle = edge_m + outward * reach_m / 2
     tree = cKDTree(points_m[:, :2]) if tree is None else tree
-    far_m = half_length_m + _POOLED_M
-    around = tree.query_ball_point(middle, np.hypot(reach_m / 2 + bin_m, far_m))
+    far_m = _STRIP_HALF_M + _POOLED_M
+    around = tree.query_ball_point(middle, np.hypot(reach_m / 2 + _BIN_M, far_m))
     rows = np.array(sorted(around), int)
     gap = points_m[rows, :2] - edge_m
     run = gap @ outward
     along = gap @ np.array([-outward[1], outward[0]])
-    inside = (run >= -bin_m / 2) & (run <= reach_m) & (np.abs(along) <= far_m)
-    strips = [
-        _strip(run[own], along[own], points_m[rows[own], 2], bin_m)
-        for own in (inside & part for part in _parts(along, half_length_m))
-        if own.sum() >= _FEWEST
-    ]
-    near = inside & (np.abs(along) <= half_length_m)
+    inside = (run >= -_BIN_M / 2) & (run <= reach_m) & (np.abs(along) <= far_m)
+    strips = []
+    for side in (-1, 1):
+        for low in np.arange(_STRIP_HALF_M, far_m - 1e-9, _STRIP_M):
+            part = inside & (side * along > low) & (side * along <= low + _STRIP_M)
+            if part.sum() >= _FEWEST:
+                strips.append(_strip(run[part], along[part], points_m[rows[part], 2]))
+    near = inside & (np.abs(along) <= _STRIP_HALF_M)
     if near.sum() < _FEWEST:
         none = np.zeros(0)
         return Profile(none, none, none)
-    own = _strip(run[near], along[near], points_m[rows[near], 2], bin_m)
+    own = _strip(run[near], along[near], points_m[rows[near], 2])
     own = own[0], own[1] - _level_at_edge(*own)
-    profile = binned_profile(*own, bin_m)
+    profile = binned_profile(*own, _BIN_M)
     if len(profile) < _FEWEST:
         return profile
     pieces = fit_pieces(profile)
-    alike = [moved for strip in strips if (moved := _moved(*strip, pieces, bin_m)) is not None]
+    alike = [moved for strip in strips if (moved := _moved(*strip, pieces)) is not None]
     if not alike:
         return profile
     pooled_run, pooled_height = np.concatenate([np.stack(one) for one in (own, *alike)], axis=1)
     # So many points fill bins half as wide, which blur hinges less.
-    return binned_profile(pooled_run, pooled_height, bin_m / 2 if len(alike) >= _MANY else bin_m)
+    return binned_profile(pooled_run, pooled_height, _BIN_M / 2 if len(alike) >= _MANY else _BIN_M)
 
 
-def _parts(along: Floats, half_m: float) -> list[Bools]:
-    """Strips beside the middle one, from it outwards on either side."""
-    starts = np.arange(half_m, half_m + _POOLED_M - 1e-9, _STRIP_M)
-    return [
-        (side * along > low) & (side * along <= low + _STRIP_M)
-        for side in (-1, 1)
-        for low in starts
-    ]
-
-
-def _strip(run: Floats, along: Floats, height: Floats, bin_m: float) -> tuple[Floats, Floats]:
+def _strip(run: Floats, along: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Runs and heights of points as at the middle of their strip."""
     along = along - along.mean()
-    return run, height - along * _along_slope(run, along, height, bin_m)
+    # The slope along the road, from points of the same bin: these differ by it and by noise.
+    number = np.floor(run / (2 * _BIN_M)).astype(np.int64)
+    _, group = np.unique(number, return_inverse=True)
+    count = np.bincount(group)
+    flat = along - (np.bincount(group, along) / count)[group]
+    rise = height - (np.bincount(group, height) / count)[group]
+    spread = float(flat @ flat)
+    if spread < 1e-6:
+        return run, height
+    slope = float(flat @ rise) / spread
+    kept = np.abs(rise - slope * flat) <= 3 * 1.4826 * np.median(np.abs(rise - slope * flat)) + 1e-9
+    slope = float(flat[kept] @ rise[kept] / max(float(flat[kept] @ flat[kept]), 1e-6))
+    return run, height - along * slope
 
 
-def _moved(
-    run: Floats, height: Floats, pieces: Pieces, bin_m: float
-) -> tuple[Floats, Floats] | None:
+def _moved(run: Floats, height: Floats, pieces: Pieces) -> tuple[Floats, Floats] | None:
     """Points of a strip where the middle one's would be; None if it is another cross-section."""
-    strip = binned_profile(run, height, bin_m)
+    strip = binned_profile(run, height, _BIN_M)
     if len(strip) < _FEWEST:
         return None
     aside, up = 0.0, float(np.median(strip.height_m - pieces.height_m(strip.run_m)))
@@ -300,21 +259,6 @@ def _moved(
     if np.mean(np.minimum(off**2, _FAR**2)) > _ALIKE:
         return None
     return run - aside, height - up
-
-
-def _along_slope(run: Floats, along: Floats, height: Floats, bin_m: float) -> float:
-    """Slope along the road, from points of the same bin: these differ by it and by noise."""
-    number = np.floor(run / (2 * bin_m)).astype(np.int64)
-    _, group = np.unique(number, return_inverse=True)
-    count = np.bincount(group)
-    flat = along - (np.bincount(group, along) / count)[group]
-    rise = height - (np.bincount(group, height) / count)[group]
-    spread = float(flat @ flat)
-    if spread < 1e-6:
-        return 0.0
-    slope = float(flat @ rise) / spread
-    kept = np.abs(rise - slope * flat) <= 3 * 1.4826 * np.median(np.abs(rise - slope * flat)) + 1e-9
-    return float(flat[kept] @ rise[kept] / max(float(flat[kept] @ flat[kept]), 1e-6))
 
 
 def _level_at_edge(run: Floats, height: Floats) -> float:

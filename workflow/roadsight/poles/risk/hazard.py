@@ -18,7 +18,6 @@ greatest throughout.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,9 +33,9 @@ from roadsight.poles.risk.clear_zone import (
     curve_factor,
     slope_class,
 )
-from roadsight.poles.risk.cross_sections import CrossSection, slope_text
+from roadsight.poles.risk.cross_sections import CrossSection, Height, slope_text
 from roadsight.poles.risk.inventory import NO_INVENTORY
-from roadsight.poles.risk.roads import Located, Roads, RouteTracks, roads_of
+from roadsight.poles.risk.roads import Located, Roads
 from roadsight.poles.risk.roadside import (
     Edges,
     Surroundings,
@@ -61,11 +60,9 @@ from roadsight.poles.risk.roadside_rating import (
 )
 from roadsight.poles.risk.shielding import Demand, shielding
 
-Height = Callable[[Floats, Floats], Floats]
-
+# The rating in words, as written into results.
 RULE = __doc__.split("\n\n", 1)[1].strip() if __doc__ else ""
-"""The rating in words, as written into results."""
-
+# What every version of the table has.
 HAZARD_COLUMNS = [
     "offset_m",
     "side",
@@ -77,8 +74,8 @@ HAZARD_COLUMNS = [
     "objects_per_km",
     "rating",
 ]
-"""What every version of the table has."""
 _NAN = float("nan")
+# Columns that tell an object's cross-section, and what they hold where there is none.
 _UNKNOWN: dict[str, float | str] = {
     "foreslope_rise_over_run": _NAN,
     "sigma_foreslope": _NAN,
@@ -92,7 +89,7 @@ _UNKNOWN: dict[str, float | str] = {
     "kerb_m": _NAN,
     "drop_off_m": _NAN,
 }
-"""Columns that tell an object's cross-section, and what they hold where there is none."""
+# What is told besides, with units in the names; see docs/poles/hazard.md.
 ROADSIDE_COLUMNS = [
     "rating_greatest",
     "rank",
@@ -127,16 +124,13 @@ ROADSIDE_COLUMNS = [
     "hsm_mean_offset_m",
     "reasons",
 ]
-"""What is told besides, with units in the names; see docs/poles/hazard.md."""
+# Stretch of road for the density of the Highway Safety Manual: its shortest segment is 0.1 mile;
+# 0.2 miles let one object more or less change the density by 5 a mile, not 10.
 _HSM_WINDOW_M = 322.0
-"""Stretch of road for the density of the Highway Safety Manual: its shortest segment is 0.1 mile;
-0.2 miles let one object more or less change the density by 5 a mile, not 10."""
 
 
-_EDGE_REACH_M = 30.0
-"""A road edge further away is not the pole's."""
-_SAMPLE_M = 0.5
-"""Spacing of height samples between edge and pole."""
+_EDGE_REACH_M = 30.0  # a road edge further away is not the pole's
+_SAMPLE_M = 0.5  # spacing of height samples between edge and pole
 
 
 @dataclass(frozen=True)
@@ -156,39 +150,25 @@ class Rated:
     located: Located = field(repr=False)
 
 
-def rate_poles(
-    poles: pd.DataFrame,
-    edges_m: Floats,
-    tracks: RouteTracks,
-    height: Height | None,
-    settings: Hazard,
-    surroundings: Surroundings | None = None,
-) -> pd.DataFrame:
-    """Hazard of each pole.
+def rate_roadside(
+    poles: pd.DataFrame, edges_m: Floats, surroundings: Surroundings, settings: Hazard
+) -> Rated:
+    """Hazard of each object, with the cross-sections behind it.
 
     Parameters
     ----------
     poles : x, y (local metres) and sigma_major_m. edges_m : road edge points (n, 2 or 3).
-    height : ground height (m) at x and y, NaN where unknown; None for none.
-    surroundings : roads, inventory, barriers; by tracks, edges and height alone if None.
 
     Returns
     -------
-    columns `HAZARD_COLUMNS` and `ROADSIDE_COLUMNS`, rows as ``poles``. ``offset_m`` is negative on
-    the road; ``side`` and ``station_m`` are along ``route``, whose measure both directions share.
+    table : columns `HAZARD_COLUMNS` and `ROADSIDE_COLUMNS`, rows as ``poles``. ``offset_m`` is
+        negative on the road; ``side`` and ``station_m`` are along ``route``, whose measure both
+        directions share.
     """
-    known = surroundings or Surroundings(roads_of(tracks, edges_m), height)
-    return rate_roadside(poles, edges_m, known, settings).table
-
-
-def rate_roadside(
-    poles: pd.DataFrame, edges_m: Floats, surroundings: Surroundings, settings: Hazard
-) -> Rated:
-    """Hazard of each object, with the cross-sections behind it; see `rate_poles`."""
     xy_m = poles[["x", "y"]].to_numpy(np.float64)
-    n = len(poles)
-    located = surroundings.roads.locate(xy_m)
-    edges = edges_at(surroundings.roads, located, xy_m, edges_m, _EDGE_REACH_M)
+    n, roads = len(poles), surroundings.roads
+    located = roads.locate(xy_m)
+    edges = edges_at(roads, located, xy_m, edges_m, _EDGE_REACH_M)
     offset_m = edges.offset_m
     mean_slope = side_slopes(edges.place_m, xy_m, surroundings.height, _SAMPLE_M)
     sections = object_sections(surroundings, edges.place_m, edges.outward, offset_m)
@@ -201,11 +181,15 @@ def rate_roadside(
     known = _known_traffic(surroundings, located, settings)
     zone = _zones(slope, sigma_slope, sections, bends, known, settings.clear_zone_m)
     sigma_m = np.nan_to_num(poles["sigma_major_m"].to_numpy(np.float64))
-    travel = _travel(surroundings, located, known)
+    one_way = (known["carriageway"] == "one-way").to_numpy()
+    # 1 where the traffic beside an object runs with rising measure, else -1.
+    ways = np.array([road.travel for road in roads.roads] or [1])
+    travel = np.where((located.side >= 0) != surroundings.left_hand_traffic, 1.0, -1.0)
+    travel = np.where(one_way, ways[np.maximum(located.road, 0)], travel)
     shield = _shields(surroundings, located, edges, zone, known, travel, settings)
     shielded = np.array([status == "full" for status, _, _ in shield], bool)
     inside = (offset_m <= zone["clear_zone_m"].to_numpy()) if n else np.zeros(0, bool)
-    density = _density(surroundings.roads, located, inside & ~shielded, settings.window_m)
+    density = _density(roads, located, inside & ~shielded, settings.window_m)
     rating, greatest = (
         _rating(offset_m, bounds, slope, density, sigma_m, settings, shielded)
         for bounds in (zone, zone.assign(sure_m=zone["clear_zone_m"]))
@@ -220,15 +204,15 @@ def rate_roadside(
         bends["grade"].to_numpy() * travel,
         Encroachments(settings.bend_outside, settings.bend_inside, settings.downhill),
     )
-    one_way = (known["carriageway"] == "one-way").to_numpy()
     least, most = (
         exposure(known[f"aadt_{end}"].to_numpy(), weight, one_way) for end in ("low", "high")
     )
     exposed = np.where(least == most, most, np.nan)
-    hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
+    hsm = _hsm(located, roads, offset_m, ~shielded)
     lanes = lanes_at(surroundings, located, known)
     travelled = beside_travelled_way(located.offset_m, lanes)
     told = [_described(section) for section in sections]
+    names = np.array([*(road.name for road in roads.roads), ""], object)
     table = pd.DataFrame(
         {
             "offset_m": offset_m,
@@ -242,7 +226,7 @@ def rate_roadside(
             "rating": rating,
             "rating_greatest": greatest,
             "rank": rank_of(rating, rhr[:, 0], exposed, weight),
-            "route": _routes(surroundings.roads, located),
+            "route": names[located.road],
             "shielded": np.array([status for status, _, _ in shield], object),
             "barrier_offset_m": np.array([offset for _, offset, _ in shield], np.float64),
             "hazard_rating_1_to_7": rhr[:, 0],
@@ -276,32 +260,36 @@ def rate_roadside(
         },
         index=poles.index,
     )
-    table["reasons"] = _reasons(table, zone, shield, slope, sigma_slope, sections, settings)
+    table["reasons"] = [
+        _reason(row, zone.iloc[n], shield[n], slope[n], sigma_slope[n], sections[n], settings)
+        for n, (_, row) in enumerate(table.iterrows())
+    ]
     columns = [*HAZARD_COLUMNS, *ROADSIDE_COLUMNS]
     return Rated(table[columns], sections, edges.place_m, edges.outward, located)
 
 
-def beside_travelled_way(offset_m: Floats, lanes: pd.DataFrame) -> dict[str, NDArray]:
-    """Distance (n,) from the travelled way's edge on an object's side, and how it is known.
+def side_slopes(foot_m: Floats, xy_m: Floats, height: Height | None, sample_m: float) -> Floats:
+    """Rise over run from road edge to pole, by least squares over heights between them.
 
-    Parameters
-    ----------
-    offset_m : from the centreline, positive right. lanes : see `with_inventory`.
-
-    Returns
-    -------
-    offset_travelled_way_m; sigma_travelled_way_m, of the edge, NaN where an inventory states it;
-    travelled_way_from, empty where nobody does
+    Negative falls away from the road. NaN where fewer than three heights are known or the pole is
+    nearer than three samples.
     """
-    edge, sigma, told_by = (
-        np.where(offset_m < 0, lanes[name.format("left")], lanes[name.format("right")])
-        for name in ("{}_m", "sigma_{}_m", "{}_from")
-    )
-    return {
-        "offset_travelled_way_m": np.asarray(np.abs(offset_m) - edge, np.float64),
-        "sigma_travelled_way_m": np.asarray(sigma, np.float64),
-        "travelled_way_from": np.where(np.isnan(offset_m), "", told_by).astype(object),
-    }
+    slopes = np.full(len(xy_m), np.nan)
+    if height is None:
+        return slopes
+    run_m = np.hypot(*(xy_m - foot_m).T)
+    for number in np.flatnonzero(run_m >= 2 * sample_m):
+        run = np.linspace(0.0, run_m[number], int(run_m[number] / sample_m) + 1)
+        way = (xy_m[number] - foot_m[number]) / run_m[number]
+        places = foot_m[number] + run[:, None] * way
+        heights = np.asarray(height(places[:, 0], places[:, 1]), np.float64)
+        known = np.isfinite(heights)
+        if known.sum() >= 3:
+            centred = run[known] - run[known].mean()
+            slopes[number] = (
+                centred @ (heights[known] - heights[known].mean()) / (centred @ centred)
+            )
+    return slopes
 
 
 def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazard) -> pd.DataFrame:
@@ -318,14 +306,6 @@ def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazar
             known[name] = values
     known["carriageway"] = known["carriageway"].replace("", surroundings.carriageway)
     return known
-
-
-def _travel(surroundings: Surroundings, located: Located, known: pd.DataFrame) -> Floats:
-    """1 where the traffic beside an object (n,) runs with rising measure, else -1."""
-    ways = np.array([road.travel for road in surroundings.roads.roads] or [1])
-    usual = np.where((located.side >= 0) != surroundings.left_hand_traffic, 1.0, -1.0)
-    one_way = (known["carriageway"] == "one-way").to_numpy()
-    return np.where(one_way, ways[np.maximum(located.road, 0)], usual)
 
 
 def _zones(
@@ -415,6 +395,30 @@ def _density(roads: Roads, located: Located, counted: Bools, window_m: float) ->
     return density
 
 
+def _rating(
+    offset_m: Floats,
+    zone: pd.DataFrame,
+    slope: Floats,
+    density: Floats,
+    sigma_m: Floats,
+    settings: Hazard,
+    shielded: Bools,
+) -> NDArray[np.object_]:
+    greatest, sure = zone["clear_zone_m"].to_numpy(), zone["sure_m"].to_numpy()
+    inside, surely = offset_m <= greatest, offset_m <= sure
+    kind = slope_class(slope)
+    no_return = np.isin(kind, ["non-recoverable", "critical"])
+    crowded = np.nan_to_num(density) > settings.dense_per_km
+    near = offset_m - sigma_m <= greatest
+    conditions = [
+        np.isnan(offset_m),
+        shielded,
+        surely & ((offset_m <= sure / 2) | no_return | crowded),
+        inside | near | (kind == "critical"),
+    ]
+    return np.select(conditions, ["unknown", "low", "high", "medium"], "low").astype(object)
+
+
 def _hazard_ratings(
     located: Located,
     offset_m: Floats,
@@ -465,9 +469,27 @@ def _hsm(located: Located, roads: Roads, offset_m: Floats, counted: Bools) -> di
     return {"hsm_objects_per_mile": per_mile, "hsm_mean_offset_m": mean}
 
 
-def _routes(roads: Roads, located: Located) -> NDArray[np.object_]:
-    names = [road.name for road in roads.roads]
-    return np.array([names[n] if n >= 0 else "" for n in located.road], object)
+def beside_travelled_way(offset_m: Floats, lanes: pd.DataFrame) -> dict[str, NDArray]:
+    """Distance (n,) from the travelled way's edge on an object's side, and how it is known.
+
+    Parameters
+    ----------
+    offset_m : from the centreline, positive right. lanes : see `with_inventory`.
+
+    Returns
+    -------
+    offset_travelled_way_m; sigma_travelled_way_m, of the edge, NaN where an inventory states it;
+    travelled_way_from, empty where nobody does
+    """
+    edge, sigma, told_by = (
+        np.where(offset_m < 0, lanes[name.format("left")], lanes[name.format("right")])
+        for name in ("{}_m", "sigma_{}_m", "{}_from")
+    )
+    return {
+        "offset_travelled_way_m": np.asarray(np.abs(offset_m) - edge, np.float64),
+        "sigma_travelled_way_m": np.asarray(sigma, np.float64),
+        "travelled_way_from": np.where(np.isnan(offset_m), "", told_by).astype(object),
+    }
 
 
 def _described(section: CrossSection | None) -> dict[str, Any]:
@@ -493,70 +515,6 @@ def _described(section: CrossSection | None) -> dict[str, Any]:
     }
 
 
-def side_slopes(foot_m: Floats, xy_m: Floats, height: Height | None, sample_m: float) -> Floats:
-    """Rise over run from road edge to pole, by least squares over heights between them.
-
-    Negative falls away from the road. NaN where fewer than three heights are known or the pole is
-    nearer than three samples.
-    """
-    slopes = np.full(len(xy_m), np.nan)
-    if height is None:
-        return slopes
-    run_m = np.hypot(*(xy_m - foot_m).T)
-    for number in np.flatnonzero(run_m >= 2 * sample_m):
-        run = np.linspace(0.0, run_m[number], int(run_m[number] / sample_m) + 1)
-        way = (xy_m[number] - foot_m[number]) / run_m[number]
-        places = foot_m[number] + run[:, None] * way
-        heights = np.asarray(height(places[:, 0], places[:, 1]), np.float64)
-        known = np.isfinite(heights)
-        if known.sum() >= 3:
-            centred = run[known] - run[known].mean()
-            slopes[number] = (
-                centred @ (heights[known] - heights[known].mean()) / (centred @ centred)
-            )
-    return slopes
-
-
-def _rating(
-    offset_m: Floats,
-    zone: pd.DataFrame,
-    slope: Floats,
-    density: Floats,
-    sigma_m: Floats,
-    settings: Hazard,
-    shielded: Bools,
-) -> NDArray[np.object_]:
-    greatest, sure = zone["clear_zone_m"].to_numpy(), zone["sure_m"].to_numpy()
-    inside, surely = offset_m <= greatest, offset_m <= sure
-    kind = slope_class(slope)
-    no_return = np.isin(kind, ["non-recoverable", "critical"])
-    crowded = np.nan_to_num(density) > settings.dense_per_km
-    near = offset_m - sigma_m <= greatest
-    conditions = [
-        np.isnan(offset_m),
-        shielded,
-        surely & ((offset_m <= sure / 2) | no_return | crowded),
-        inside | near | (kind == "critical"),
-    ]
-    return np.select(conditions, ["unknown", "low", "high", "medium"], "low").astype(object)
-
-
-def _reasons(
-    table: pd.DataFrame,
-    zone: pd.DataFrame,
-    shield: list[tuple[str, float, str]],
-    slope: Floats,
-    sigma_slope: Floats,
-    sections: list[CrossSection | None],
-    settings: Hazard,
-) -> list[str]:
-    """Why each object is rated as it is, in words; marks in brackets name the source of a rule."""
-    return [
-        _reason(row, zone.iloc[n], shield[n], slope[n], sigma_slope[n], sections[n], settings)
-        for n, (_, row) in enumerate(table.iterrows())
-    ]
-
-
 def _reason(
     row: pd.Series,
     zone: pd.Series,
@@ -566,6 +524,7 @@ def _reason(
     section: CrossSection | None,
     settings: Hazard,
 ) -> str:
+    """Why an object is rated as it is, in words; marks in brackets name the source of a rule."""
     if np.isnan(row["offset_m"]):
         return "no road edge is near"
     said = []

@@ -20,25 +20,25 @@ from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
 
+# Of an inventory; numbers but from and to NaN where unknown, carriageway empty.
 COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m", "carriageway")
-"""Of an inventory; numbers but from and to NaN where unknown, carriageway empty."""
 Carriageway = Literal["two-way", "divided", "one-way"]
+# What traffic a road has: of both directions; the same, but none reaches the other's side; of one,
+# which is that of its longest drive, and AADT is its own.
 CARRIAGEWAYS: tuple[Carriageway, ...] = get_args(Carriageway)
-"""What traffic a road has: of both directions; the same, but none reaches the other's side; of one,
-which is that of its longest drive, and AADT is its own."""
+# Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
+# in centimetres nothing.
 SAME_M = 0.5
-"""Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
-in centimetres nothing."""
+# Other values are slips of unit or column.
 LIMITS = {
     "speed_kmh": (20.0, 140.0),
     "aadt": (0.0, 500_000.0),
     "lanes": (1.0, 20.0),
     "lane_width_m": (2.0, 6.0),
 }
-"""Other values are slips of unit or column."""
 _NOT_STATED = Hazard()
+# What route names of drives end in, after a digit or a mark: SR1427E, I40-EB, 12_n.
 _DIRECTION = re.compile(r"(?:(?<=\d)|[-_ ])(?:[nsew]b?|[+-])$")
-"""What route names of drives end in, after a digit or a mark: SR1427E, I40-EB, 12_n."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Inventory:
         """The inventory's name of a road, by the road's name or its drives'; None for none."""
         names = {_plain(name): name for name in self.routes()}
         for wanted in (road.name, *road.drives):
-            for key in (_plain(wanted), _bare(wanted)):
+            for key in (_plain(wanted), _plain(_DIRECTION.sub("", wanted.strip().lower()))):
                 if key in names:
                     return names[key]
         return None
@@ -105,12 +105,12 @@ class Inventory:
         return values
 
 
+# States nothing of any road.
 NO_INVENTORY = Inventory(
     pd.DataFrame({name: pd.Series(dtype=np.float64) for name in COLUMNS}).astype(
         {"route": object, "carriageway": object}
     )
 )
-"""States nothing of any road."""
 
 
 def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ()) -> Inventory:
@@ -146,7 +146,7 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
             )
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
     for route, own in table.groupby("route", sort=True):
-        _check_route(str(route), own, where)
+        _refuse_overlap(str(route), own, where)
     return Inventory(table[list(COLUMNS)])
 
 
@@ -181,8 +181,7 @@ def _check_row(row: pd.Series, where: str) -> None:
         )
 
 
-def _check_route(route: str, own: pd.DataFrame, where: str) -> None:
-    """Refuse segments that overlap."""
+def _refuse_overlap(route: str, own: pd.DataFrame, where: str) -> None:
     ends, starts = own["to_m"].to_numpy()[:-1], own["from_m"].to_numpy()[1:]
     reached = np.maximum.accumulate(ends) if len(ends) else ends
     over = np.flatnonzero(reached - starts > SAME_M)
@@ -201,8 +200,3 @@ def _check_route(route: str, own: pd.DataFrame, where: str) -> None:
 
 def _plain(name: str) -> str:
     return re.sub(r"[\s_-]", "", str(name)).lower()
-
-
-def _bare(name: str) -> str:
-    """Name of a route without the direction at its end."""
-    return _plain(_DIRECTION.sub("", str(name).strip().lower()))

@@ -16,20 +16,18 @@ from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Road
 from roadsight.poles.risk.roadside import Surroundings
 
-_Stretch = tuple[str, float, float]
-"""Route, and the measures of its ends in metres."""
-
+_Stretch = tuple[str, float, float]  # route, and the measures of its ends in metres
+# Column, and its name in words.
 _QUANTITIES = (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes"))
-"""Column, and its name in words."""
+# What a site may state of all roads.
 _SETTINGS = {"speed": "design speed (hazard.design_speed_kmh)", "traffic": "traffic (hazard.aadt)"}
-"""What a site may state of all roads."""
+# What holds where nobody states it.
 _WHOLE = {
     "speed": f"{SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h",
     "traffic": "any traffic",
 }
-"""What holds where nobody states it."""
+# Where lanes begin or end, markings are judged by so much road, half of it on either side.
 _MIXED_M = 2 * WINDOW_M
-"""Where lanes begin or end, markings are judged by so much road, half of it on either side."""
 
 
 def inventory_doubts(
@@ -69,9 +67,13 @@ def inventory_doubts(
     covered = [(road, own[own["route"] == route]) for road, route in named if route is not None]
     gaps = [gap for road, segments in covered for gap in _unstated(segments, road)]
     if gaps:
+        stated = [
+            (str(rows["route"].iloc[0]), float(rows["from_m"].min()), float(rows["to_m"].max()))
+            for _, rows in covered
+        ]
         text = (
             f"the inventory states nothing for {_told(gaps)}:"
-            f" {follows}; it states {_told(_stated(covered))}; m of road"
+            f" {follows}; it states {_told(stated)}; m of road"
         )
         found.append(Doubt("inventory_gaps", severity, text, _length_m(gaps), SAME_M))
     for column, title in _QUANTITIES:
@@ -83,6 +85,43 @@ def inventory_doubts(
             text = f"the inventory states no {title} for {_told(lacking)}: {follows}; m of road"
             code = f"inventory_without_{column.removesuffix('_kmh')}"
             found.append(Doubt(code, severity, text, _length_m(lacking), SAME_M))
+    return found
+
+
+def _follows(site: Hazard, *lacking: str) -> tuple[Severity, str]:
+    """How grave it is that an inventory lacks what a site may state, and what follows."""
+    stated = _stated_by(site)
+    if set(lacking) <= set(stated):
+        return "note", f"the site's {' and '.join(stated[name] for name in lacking)} hold there"
+    follows = _unstated_means(site, [name for name in lacking if name not in stated])
+    if not follows:
+        return "note", "the site's clear zone and runout length hold there"
+    return "doubt", f"{follows} there"
+
+
+def _unstated(segments: pd.DataFrame, road: Road) -> list[_Stretch]:
+    """Stretches of a road between and beyond the segments of its route, which are in order."""
+    found, reached = [], road.start_m
+    route = str(segments["route"].iloc[0])
+    for start, end in [*zip(segments["from_m"], segments["to_m"], strict=True), (road.end_m,) * 2]:
+        if min(start, road.end_m) - reached > SAME_M:
+            found.append((route, reached, float(min(start, road.end_m))))
+        reached = max(reached, float(end))
+    return found
+
+
+def _clipped(segments: pd.DataFrame, road: Road) -> list[_Stretch]:
+    """Segments as far as they lie on a road; those that follow each other are one."""
+    found: list[_Stretch] = []
+    low = segments["from_m"].clip(lower=road.start_m)
+    high = segments["to_m"].clip(upper=road.end_m)
+    for route, start, end in zip(segments["route"], low, high, strict=True):
+        if end - start <= SAME_M:
+            continue
+        if found and start - found[-1][2] <= SAME_M:
+            found[-1] = (route, found[-1][1], float(end))
+        else:
+            found.append((route, float(start), float(end)))
     return found
 
 
@@ -113,17 +152,6 @@ def _stated_by(site: Hazard) -> dict[str, str]:
     if site.aadt is not None:
         found["traffic"] = f"{site.aadt:,.0f} vehicles a day"
     return found
-
-
-def _follows(site: Hazard, *lacking: str) -> tuple[Severity, str]:
-    """How grave it is that an inventory lacks what a site may state, and what follows."""
-    stated = _stated_by(site)
-    if set(lacking) <= set(stated):
-        return "note", f"the site's {' and '.join(stated[name] for name in lacking)} hold there"
-    follows = _unstated_means(site, [name for name in lacking if name not in stated])
-    if not follows:
-        return "note", "the site's clear zone and runout length hold there"
-    return "doubt", f"{follows} there"
 
 
 def _unstated_means(site: Hazard, lacking: Sequence[str]) -> str:
@@ -184,40 +212,6 @@ def _bare_m(road: Road) -> float:
     sides = (np.full(len(road.station_m), side) for side in (-1, 1))
     bare = [np.isnan(road.bridged_edge_m(road.station_m, side)).mean() for side in sides]
     return float(sum(bare)) * (road.end_m - road.start_m)
-
-
-def _unstated(segments: pd.DataFrame, road: Road) -> list[_Stretch]:
-    """Stretches of a road between and beyond the segments of its route, which are in order."""
-    found, reached = [], road.start_m
-    route = str(segments["route"].iloc[0])
-    for start, end in [*zip(segments["from_m"], segments["to_m"], strict=True), (road.end_m,) * 2]:
-        if min(start, road.end_m) - reached > SAME_M:
-            found.append((route, reached, float(min(start, road.end_m))))
-        reached = max(reached, float(end))
-    return found
-
-
-def _clipped(segments: pd.DataFrame, road: Road) -> list[_Stretch]:
-    """Segments as far as they lie on a road; those that follow each other are one."""
-    found: list[_Stretch] = []
-    low = segments["from_m"].clip(lower=road.start_m)
-    high = segments["to_m"].clip(upper=road.end_m)
-    for route, start, end in zip(segments["route"], low, high, strict=True):
-        if end - start <= SAME_M:
-            continue
-        if found and start - found[-1][2] <= SAME_M:
-            found[-1] = (route, found[-1][1], float(end))
-        else:
-            found.append((route, float(start), float(end)))
-    return found
-
-
-def _stated(covered: Sequence[tuple[Road, pd.DataFrame]]) -> list[_Stretch]:
-    """From where to where each route is stated."""
-    return [
-        (str(rows["route"].iloc[0]), float(rows["from_m"].min()), float(rows["to_m"].max()))
-        for _, rows in covered
-    ]
 
 
 def _told(stretches: Sequence[_Stretch]) -> str:

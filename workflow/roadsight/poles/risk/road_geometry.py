@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.poles.risk.cross_sections import Height
 from roadsight.poles.risk.roads import Road
 
-Height = Callable[[Floats, Floats], Floats]
-
-STATION_M = 5.0
-"""Spacing of the rows: a radius or grade changes little over it."""
+STATION_M = 5.0  # spacing of the rows: a radius or grade changes little over it
+# Radii are fitted by quartics over so much road either way: the longest that the noise explains. On
+# 12 generated roads whose edges err as those of the generated scan (3.4 cm, alike over 6 m), 45 m
+# are the best of 35 to 50: 95 % of the stations on arcs of 190 to 380 m are within 4.1 % (35 m:
+# 6.4). On an arc of 30 m, 45 m are 18 % off and 18 m 3 %.
 CURVE_HALVES_M = (45.0, 35.0, 25.0, 18.0)
-"""Radii are fitted by quartics over so much road either way: the longest that the noise explains.
-On 12 generated roads whose edges err as those of the generated scan (3.4 cm, alike over 6 m), 45 m
-are the best of 35 to 50: 95 % of the stations on arcs of 190 to 380 m are within 4.1 % (35 m: 6.4).
-On an arc of 30 m, 45 m are 18 % off and 18 m 3 %."""
+# Noise explains a misfit up to so many times that of the centreline: with 1.0 a fifth of the gentle
+# bends lose their long fit to chance (95 % within 5.4 %), with 2 arcs of 60 m are 10 % off, not 6.
 _EXPLAINED = 1.5
-"""Noise explains a misfit up to so many times that of the centreline: with 1.0 a fifth of the
-gentle bends lose their long fit to chance (95 % within 5.4 %), with 2 arcs of 60 m are 10 % off,
-not 6."""
+# Grades are fitted by cubics over so much road either way; parabolas lose 0.1 % where the grade
+# changes as on the generated roads.
 GRADE_HALF_M = 25.0
-"""Grades are fitted by cubics over so much road either way; parabolas lose 0.1 % where the grade
-changes as on the generated roads."""
+# Heights of a grade are means over so much of the road: five have less noise than one.
 _ABREAST_M = (-1.2, -0.6, 0.0, 0.6, 1.2)
-"""Heights of a grade are means over so much of the road: five have less noise than one."""
-WIDTH_HALF_M = 5.0
-"""Widths are medians over so much road either way."""
+WIDTH_HALF_M = 5.0  # widths are medians over so much road either way
+# Greater radii are told from straight by nobody: the offset over 60 m is below 0.1 m.
 STRAIGHT_M = 5000.0
-"""Greater radii are told from straight by nobody: the offset over 60 m is below 0.1 m."""
+# So many neighbours share their error: strips of edge points overlap by half (`roads._between`),
+# terrain cells of 0.5 m reach over two heights.
 _CORRELATION = 2.0
-"""So many neighbours share their error: strips of edge points overlap by half (`roads._between`),
-terrain cells of 0.5 m reach over two heights."""
 COLUMNS = (
     "road",
     "station_m",
@@ -100,13 +94,6 @@ def road_geometry(road: Road, height: Height | None, every_m: float = STATION_M)
     return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
 
-def _near(road: Road, station: float, half_m: float) -> Ints:
-    """Rows of the centreline near a station; at the ends the window shifts inwards."""
-    inner = min(half_m, (road.end_m - road.start_m) / 2)
-    middle = np.clip(station, road.start_m + inner, road.end_m - inner)
-    return np.flatnonzero(np.abs(road.station_m - middle) <= half_m)
-
-
 def _curvature(road: Road, station: float) -> tuple[float, float]:
     """Curvature (1/m, positive to the left) and its sigma, from a quartic across the chord.
 
@@ -118,24 +105,19 @@ def _curvature(road: Road, station: float) -> tuple[float, float]:
         rows = _near(road, station, half)
         if len(rows) < 8:
             break
-        found.append(_bend(road, station, rows, half))
+        origin, way = road.place(np.array([station]))[0], road.direction(np.array([station]))[0]
+        gap = road.xy_m[rows] - origin
+        along, across = gap @ way, gap @ np.array([-way[1], way[0]])
+        fitted, covariance, misfit = _fit(along / half, across, 4, road.noise_m)
+        first, second = fitted[1] / half, 2 * fitted[2] / half**2
+        # Errors of edges are alike over 6 m, and smoothing carries them further: without the
+        # factor, errors on generated roads are 2 to 3 sigma (root mean square).
+        sigma = 2 * np.sqrt(4 * covariance[2, 2]) / half**2
+        found.append((float(second / (1 + first**2) ** 1.5), float(sigma), misfit))
         if len(found) > 1 and not found[-2][2] > _EXPLAINED * road.noise_m:
-            curvature, sigma, _ = found[-2]
+            curvature, sigma = found[-2][:2]
             return curvature, float(np.hypot(sigma, found[-1][0] - curvature))
     return found[-1][:2] if found else (float("nan"), float("nan"))
-
-
-def _bend(road: Road, station: float, rows: Ints, half_m: float) -> tuple[float, float, float]:
-    """Curvature, its sigma, and the misfit (m, one sigma) of the quartic through given vertices."""
-    origin, way = road.place(np.array([station]))[0], road.direction(np.array([station]))[0]
-    gap = road.xy_m[rows] - origin
-    along, across = gap @ way, gap @ np.array([-way[1], way[0]])
-    fitted, covariance, misfit = _fit(along / half_m, across, 4, road.noise_m)
-    first, second = fitted[1] / half_m, 2 * fitted[2] / half_m**2
-    # Errors of edges are alike over 6 m, and smoothing carries them further: without the factor,
-    # errors on generated roads are 2 to 3 sigma (root mean square).
-    sigma = 2 * np.sqrt(4 * covariance[2, 2]) / half_m**2
-    return float(second / (1 + first**2) ** 1.5), float(sigma), misfit
 
 
 def _grade(road: Road, station: float, height: Height | None) -> tuple[float, float, float]:
@@ -144,7 +126,8 @@ def _grade(road: Road, station: float, height: Height | None) -> tuple[float, fl
     rows = _near(road, station, GRADE_HALF_M)
     if height is None or len(rows) < 8:
         return nan
-    heights = _mean_heights(road, road.station_m[rows], height)
+    abreast = [road.place(road.station_m[rows], offset) for offset in _ABREAST_M]
+    heights = np.mean([np.asarray(height(p[:, 0], p[:, 1]), np.float64) for p in abreast], axis=0)
     known = np.isfinite(heights)
     if known.sum() < 8:
         return nan
@@ -152,35 +135,13 @@ def _grade(road: Road, station: float, height: Height | None) -> tuple[float, fl
     fitted, covariance, _ = _fit(along, heights[known], 3)
     at = road.place(np.array([station]))
     # Distances in plan, whatever the measure counts.
-    scale = _plan_per_measure(road, rows)
+    plan = np.hypot(*np.diff(road.xy_m[rows], axis=0).T).sum()
+    scale = float(plan / (road.station_m[rows[-1]] - road.station_m[rows[0]]))
     return (
         float(fitted[1] / GRADE_HALF_M / scale),
         float(np.sqrt(covariance[1, 1]) / GRADE_HALF_M / scale),
         float(np.asarray(height(at[:, 0], at[:, 1]))[0]),
     )
-
-
-def _mean_heights(road: Road, stations: Floats, height: Height) -> Floats:
-    """Mean height across the middle of the road at each station."""
-    rows = [road.place(stations, offset) for offset in _ABREAST_M]
-    return np.mean([np.asarray(height(p[:, 0], p[:, 1]), np.float64) for p in rows], axis=0)
-
-
-def _plan_per_measure(road: Road, rows: Ints) -> float:
-    plan = np.hypot(*np.diff(road.xy_m[rows], axis=0).T).sum()
-    return float(plan / (road.station_m[rows[-1]] - road.station_m[rows[0]]))
-
-
-def _width(road: Road, station: float) -> tuple[float, float]:
-    """Paved width and its sigma: the median of what is known near."""
-    rows = _near(road, station, WIDTH_HALF_M)
-    widths = (road.left_m + road.right_m)[rows]
-    widths = widths[np.isfinite(widths)]
-    if len(widths) < 3:
-        return float("nan"), float("nan")
-    middle = float(np.median(widths))
-    spread = 1.4826 * float(np.median(np.abs(widths - middle)))
-    return middle, 1.2533 * spread / np.sqrt(len(widths) / 2)
 
 
 def _cross_slopes(road: Road, station: float, height: Height | None) -> tuple[float, float, float]:
@@ -211,14 +172,31 @@ def _cross_slopes(road: Road, station: float, height: Height | None) -> tuple[fl
     return found[0], found[1], max(sigmas, default=nan)
 
 
+def _width(road: Road, station: float) -> tuple[float, float]:
+    """Paved width and its sigma: the median of what is known near."""
+    rows = _near(road, station, WIDTH_HALF_M)
+    widths = (road.left_m + road.right_m)[rows]
+    widths = widths[np.isfinite(widths)]
+    if len(widths) < 3:
+        return float("nan"), float("nan")
+    middle = float(np.median(widths))
+    spread = 1.4826 * float(np.median(np.abs(widths - middle)))
+    return middle, 1.2533 * spread / np.sqrt(len(widths) / 2)
+
+
+def _near(road: Road, station: float, half_m: float) -> Ints:
+    """Rows of the centreline near a station; at the ends the window shifts inwards."""
+    inner = min(half_m, (road.end_m - road.start_m) / 2)
+    middle = np.clip(station, road.start_m + inner, road.end_m - inner)
+    return np.flatnonzero(np.abs(road.station_m - middle) <= half_m)
+
+
 def _fit(
     x: Floats, y: Floats, degree: int, sigma: float = float("nan")
 ) -> tuple[Floats, Floats, float]:
     """Polynomial by least squares: coefficients from the constant up, their covariance, misfit.
 
-    Parameters
-    ----------
-    sigma : of one y; from the misfit if NaN.
+    One y has the given sigma, or that of the misfit if it is NaN or less.
     """
     design = np.vander(x, degree + 1, increasing=True)
     fitted, *_ = np.linalg.lstsq(design, y, rcond=None)

@@ -18,68 +18,30 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
+# Spacing of centrelines: a tenth of what a line 0.2 m off would turn in a bend of 190 m.
 STEP_M = 1.0
-"""Spacing of centrelines: a tenth of what a line 0.2 m off would turn in a bend of 190 m."""
-
+# Drives this near each other are on one road; carriageways with a wider median are two roads.
 BESIDE_M = 12.0
-"""Drives this near each other are on one road; carriageways with a wider median are two roads."""
-
-_BESIDE_DEG = 25.0
-"""Drives of one road differ by no more in direction, either way round."""
-
+_BESIDE_DEG = 25.0  # drives of one road differ by no more in direction, either way round
+# So much of the shorter drive must run beside the longer one; crossings are less.
 _BESIDE_SHARE = 0.5
-"""So much of the shorter drive must run beside the longer one; crossings are less."""
-
-_REACH_M = 20.0
-"""Edges further from the track are of another road."""
-
+_REACH_M = 20.0  # edges further from the track are of another road
+# A track may lie so far off the road it was driven on: twice the slow error of good GPS and more
+# (0.7 m, generated drives).
 _OFF_TRACK_M = 2.5
-"""A track may lie so far off the road it was driven on: twice the slow error of good GPS and more
-(0.7 m, generated drives)."""
-
-_NARROWEST_M = 3.0
-"""Narrower strips between edges are no road."""
-
+_NARROWEST_M = 3.0  # narrower strips between edges are no road
+# Window over which centrelines are smoothed by cubics: bends of 190 m stay within 2 mm.
 _SMOOTH_M = 31.0
-"""Window over which centrelines are smoothed by cubics: bends of 190 m stay within 2 mm."""
-
+# Points of one edge lie within this across the road: smoothed contours of 0.3 m cells do.
 _EDGE_M = 0.6
-"""Points of one edge lie within this across the road: smoothed contours of 0.3 m cells do."""
-
+# Sections of other width than their neighbours by more are mouths of side roads, unless the
+# neighbours scatter more (four deviations).
 _WIDTH_OFF_M = 0.3
-"""Sections of other width than their neighbours by more are mouths of side roads, unless the
-neighbours scatter more (four deviations)."""
-
+# Edges are carried over gaps up to this: mouths of side roads are shorter (12 and 13 m, generated
+# rural road), with turning lanes too; over longer gaps a road may get wider or narrower.
 _GAP_M = 100.0
-"""Edges are carried over gaps up to this: mouths of side roads are shorter (12 and 13 m, generated
-rural road), with turning lanes too; over longer gaps a road may get wider or narrower."""
-
+# Centrelines go on straight so far beyond their ends, for objects ahead of the last image.
 _BEYOND_M = 60.0
-"""Centrelines go on straight so far beyond their ends, for objects ahead of the last image."""
-
-
-@dataclass(frozen=True)
-class Located:
-    """Places along roads.
-
-    Parameters
-    ----------
-    road : (n,) number of the road, -1 for none. station_m : (n,) measure along its centreline.
-    offset_m : (n,) from the centreline, positive to the right of rising measure.
-    foot_m : (n, 2) nearest place of the centreline. direction : (n, 2) of rising measure there.
-    """
-
-    road: Ints
-    station_m: Floats
-    offset_m: Floats
-    foot_m: Floats
-    direction: Floats
-
-    @property
-    def side(self) -> Ints:
-        """-1 left, +1 right, 0 on the centreline or unknown."""
-        away = np.nan_to_num(self.offset_m)
-        return np.where(np.abs(away) < 1e-6, 0, np.sign(away)).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -146,9 +108,8 @@ class Road:
     def bridged_edge_m(self, station_m: Floats, side: Ints) -> Floats:
         """As `edge_m`, carried over gaps of up to 100 m and on for 60 m beyond its ends."""
         station = np.asarray(station_m, np.float64)
-        left, right = (
-            _bridged(station, self.station_m, half) for half in (self.left_m, self.right_m)
-        )
+        left = _bridged(station, self.station_m, self.left_m)
+        right = _bridged(station, self.station_m, self.right_m)
         return np.where(np.asarray(side) < 0, left, right)
 
 
@@ -213,6 +174,30 @@ class Roads:
         return Located(self._road[piece], station, offset, foot, direction)
 
 
+@dataclass(frozen=True)
+class Located:
+    """Places along roads.
+
+    Parameters
+    ----------
+    road : (n,) number of the road, -1 for none. station_m : (n,) measure along its centreline.
+    offset_m : (n,) from the centreline, positive to the right of rising measure.
+    foot_m : (n, 2) nearest place of the centreline. direction : (n, 2) of rising measure there.
+    """
+
+    road: Ints
+    station_m: Floats
+    offset_m: Floats
+    foot_m: Floats
+    direction: Floats
+
+    @property
+    def side(self) -> Ints:
+        """-1 left, +1 right, 0 on the centreline or unknown."""
+        away = np.nan_to_num(self.offset_m)
+        return np.where(np.abs(away) < 1e-6, 0, np.sign(away)).astype(np.int64)
+
+
 def roads_of(tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None = None) -> Roads:
     """Roads that drives follow.
 
@@ -224,17 +209,42 @@ def roads_of(tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None =
     if len(tracks) == 0:
         return Roads([])
     labels = list(tracks.names if names is None else names)
-    lines = [_track_line(tracks, route) for route in range(len(labels))]
-    lines = [line if line is not None and len(line) > 2 else None for line in lines]
+    lines: dict[int, Floats] = {}
+    for route in range(len(labels)):
+        own = tracks.route == route
+        if own.sum() > 1:
+            lines[route] = np.concatenate([tracks.start_m[own], tracks.end_m[own][-1:]])
+    road_of = {n: n for n in lines}  # the first of its drives
+    for b, a in combinations(lines, 2):
+        if beside(lines[a], lines[b]):
+            low, high = sorted((road_of[a], road_of[b]))
+            road_of = {n: low if first == high else first for n, first in road_of.items()}
     found = []
-    for group in _groups(lines):
-        order = sorted(group, key=lambda n: (-round(_length_m(lines[n])), labels[n]))
-        first = lines[order[0]]
-        assert first is not None
-        name, drives = labels[order[0]], tuple(sorted(labels[n] for n in group))
+    for first in sorted(set(road_of.values())):
+        group = [n for n in lines if road_of[n] == first]
+        longest = min(group, key=lambda n: (-round(_length_m(lines[n])), labels[n]))
+        name, drives = labels[longest], tuple(sorted(labels[n] for n in group))
         told = f"from the first image of {name}, in its direction of travel"
-        found.append(road_along(first, edges_m, name, drives, told))
+        found.append(road_along(lines[longest], edges_m, name, drives, told))
     return Roads(found)
+
+
+def beside(a_m: Floats, b_m: Floats) -> bool:
+    """Whether much of the shorter of two drives runs beside the other."""
+    short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
+    apart, row = cKDTree(long).query(short)
+    cosine = np.abs((_ways(short) * _ways(long)[row]).sum(axis=1))
+    near = (apart <= BESIDE_M) & (cosine >= np.cos(np.radians(_BESIDE_DEG)))
+    return bool(near.mean() >= _BESIDE_SHARE)
+
+
+def _length_m(line: Floats) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+
+
+def along_m(line_m: Floats) -> Floats:
+    """Length (n,) along a line (n, 2) to each vertex."""
+    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))]
 
 
 def road_along(
@@ -271,7 +281,7 @@ def road_along(
         known = middle[np.isfinite(half)]
         if len(known):
             noise = 1.4826 * float(np.median(np.abs(known - np.median(known))))
-    station = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    station = along_m(line)
     if measures_m is not None:
         low, high = measures_m
         station = low + station * (high - low) / station[-1]
@@ -283,68 +293,10 @@ def resampled(line_m: Floats, step_m: float) -> Floats:
     line = np.asarray(line_m, np.float64)[:, :2]
     moved = np.r_[True, np.hypot(*np.diff(line, axis=0).T) > 1e-6]
     line = line[moved]
-    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    along = along_m(line)
     count = max(int(np.ceil(along[-1] / step_m)), 2)
     at = np.linspace(0.0, along[-1], count + 1)
     return np.column_stack([np.interp(at, along, c) for c in line.T])
-
-
-def _bridged(station: Floats, at: Floats, value: Floats) -> Floats:
-    """Values at stations, straight between known ones; NaN in gaps and far beyond the ends."""
-    known = np.isfinite(value)
-    if not known.any():
-        return np.full(len(station), np.nan)
-    at, value = at[known], value[known]
-    after = np.searchsorted(at, station)
-    low = np.r_[at[0] - _BEYOND_M, at][after]
-    high = np.r_[at, at[-1] + _BEYOND_M][after]
-    far = (station < low) | (station > high) | (high - low > _GAP_M)
-    return np.where(far, np.nan, np.interp(station, at, value))
-
-
-def _track_line(tracks: RouteTracks, route: int) -> Floats | None:
-    own = tracks.route == route
-    if not own.any():
-        return None
-    return np.concatenate([tracks.start_m[own], tracks.end_m[own][-1:]])
-
-
-def _length_m(line: Floats | None) -> float:
-    return 0.0 if line is None else float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
-def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
-    """Numbers of the drives of each road, by the first of them."""
-    owner = list(range(len(lines)))
-    for b, a in combinations(range(len(lines)), 2):
-        one, other = lines[a], lines[b]
-        if one is not None and other is not None and beside(one, other):
-            low, high = sorted((owner[a], owner[b]))
-            owner = [low if o == high else o for o in owner]
-    return [
-        [n for n, o in enumerate(owner) if o == root and lines[n] is not None]
-        for root in sorted(set(owner))
-        if any(o == root and lines[n] is not None for n, o in enumerate(owner))
-    ]
-
-
-def beside(a_m: Floats, b_m: Floats) -> bool:
-    """Whether much of the shorter of two drives runs beside the other."""
-    short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
-    apart, row = cKDTree(long).query(short)
-    cosine = np.abs((_ways(short) * _ways(long)[row]).sum(axis=1))
-    near = (apart <= BESIDE_M) & (cosine >= np.cos(np.radians(_BESIDE_DEG)))
-    return bool(near.mean() >= _BESIDE_SHARE)
-
-
-def _ways(line: Floats) -> Floats:
-    way = np.gradient(line, axis=0)
-    return way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
-
-
-def _rights(line: Floats) -> Floats:
-    way = _ways(line)
-    return np.column_stack([way[:, 1], -way[:, 0]])
 
 
 def _smooth(line: Floats) -> Floats:
@@ -401,12 +353,7 @@ def _on(paved: shapely.Geometry, place: Floats, right: Floats, pairs: Floats) ->
 
 
 def _pairs(offset: Floats, reach_m: float) -> Floats:
-    """Neighbouring edges (k, 2) between which the track may lie, of sorted offsets.
-
-    Parameters
-    ----------
-    reach_m : how far beside them it may lie.
-    """
+    """Neighbouring edges (k, 2), of sorted offsets, between which or so far beside a track lies."""
     gaps = np.flatnonzero(np.diff(offset) >= _NARROWEST_M)
     found = []
     for g in gaps:
@@ -433,7 +380,27 @@ def _usual_width(half: Floats, middle: Floats) -> Bools:
     return kept if kept.any() else good
 
 
-# Where along its routes' tracks a place lies.
+def _rights(line: Floats) -> Floats:
+    way = _ways(line)
+    return np.column_stack([way[:, 1], -way[:, 0]])
+
+
+def _ways(line: Floats) -> Floats:
+    way = np.gradient(line, axis=0)
+    return way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+
+
+def _bridged(station: Floats, at: Floats, value: Floats) -> Floats:
+    """Values at stations, straight between known ones; NaN in gaps and far beyond the ends."""
+    known = np.isfinite(value)
+    if not known.any():
+        return np.full(len(station), np.nan)
+    at, value = at[known], value[known]
+    after = np.searchsorted(at, station)
+    low = np.r_[at[0] - _BEYOND_M, at][after]
+    high = np.r_[at, at[-1] + _BEYOND_M][after]
+    far = (station < low) | (station > high) | (high - low > _GAP_M)
+    return np.where(far, np.nan, np.interp(station, at, value))
 
 
 class RouteTracks:
@@ -496,22 +463,9 @@ class RouteTracks:
         """Unit vectors of travel (n, 2)."""
         return (self.end_m - self.start_m)[piece] / self.length_m[piece, None]
 
-    def side(self, xy_m: Floats) -> Ints:
-        """-1 left, +1 right, 0 on the track or unknown, seen along the direction of travel."""
-        piece, _, foot = self.locate(xy_m)
-        if len(self) == 0:
-            return np.zeros(len(xy_m), np.int64)
-        way, gap = self.direction(piece), xy_m - foot
-        cross = way[:, 1] * gap[:, 0] - way[:, 0] * gap[:, 1]
-        return np.where(np.abs(cross) < 1e-6, 0, np.sign(cross)).astype(np.int64)
-
     def place(self, route: int, station_m: Floats) -> Floats:
         """Places (n, 2) at stations of a route, held at its ends."""
         own = self.route == route
         stations = np.r_[self.station_m[own], self.station_m[own][-1:] + self.length_m[own][-1:]]
         xy = np.concatenate([self.start_m[own], self.end_m[own][-1:]])
         return np.column_stack([np.interp(station_m, stations, axis) for axis in xy.T])
-
-    def route_length_m(self, route: int) -> float:
-        """Length of a route."""
-        return float(self.length_m[self.route == route].sum())

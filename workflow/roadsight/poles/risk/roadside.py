@@ -18,6 +18,7 @@ from roadsight.poles.risk.cross_sections import (
     cross_section,
     profile_from_heights,
     profile_from_points,
+    slope_text,
 )
 from roadsight.poles.risk.inventory import NO_INVENTORY, Inventory
 from roadsight.poles.risk.marked_lanes import LANE_COLUMNS, marked_lanes, with_inventory
@@ -26,17 +27,16 @@ from roadsight.poles.risk.road_geometry import road_geometry
 from roadsight.poles.risk.roads import Located, Roads
 from roadsight.poles.risk.shielding import Barrier
 
+# Cross-sections reach so far from the edge, or 3 m beyond their object: the guide's clear zone is
+# 11 m wide at 100 km/h on flat ground.
 REACH_M = 12.0
-"""Cross-sections reach so far from the edge, or 3 m beyond their object: the guide's clear zone is
-11 m wide at 100 km/h on flat ground."""
-_LONGEST_M = 25.0
-"""They never reach further."""
+_LONGEST_M = 25.0  # they never reach further
+# A profile goes on behind its object, so that what a vehicle meets beyond it is told.
 _BEYOND_M = 3.0
-"""A profile goes on behind its object, so that what a vehicle meets beyond it is told."""
+# Markings further beyond the pavement's edge are of another road, or no markings.
 _BESIDE_EDGE_M = 0.5
-"""Markings further beyond the pavement's edge are of another road, or no markings."""
-_DEM_STEP_M = 0.25
-"""Spacing of heights from a terrain model: half its usual cell."""
+_DEM_STEP_M = 0.25  # spacing of heights from a terrain model: half its usual cell
+# Of the table of cross-sections, one element a row.
 SECTION_COLUMNS = (
     "section",
     "object",
@@ -58,7 +58,7 @@ SECTION_COLUMNS = (
     "end_x",
     "end_y",
 )
-"""Of the table of cross-sections, one element a row."""
+# Columns of `with_inventory`, and their names in the table of road geometry.
 LANE_TITLES = {
     "lanes": "lanes",
     "lane_width_m": "lane_width_m",
@@ -70,9 +70,8 @@ LANE_TITLES = {
     "sigma_right_m": "sigma_travelled_right_m",
     "travelled_from": "travelled_from",
 }
-"""Columns of `with_inventory`, and their names in the table of road geometry."""
+# Of the table of road geometry, what inventory or site state.
 TRAFFIC_COLUMNS = ("speed_least_kmh", "speed_greatest_kmh", "aadt_least", "aadt_greatest")
-"""Of the table of road geometry, what inventory or site state."""
 
 
 @dataclass
@@ -130,8 +129,7 @@ class Surroundings:
                     np.column_stack(sides),
                 )
         if road not in self._marked:
-            nothing = np.full((len(self.geometry(road)), len(LANE_COLUMNS)), np.nan)
-            return pd.DataFrame(nothing, columns=list(LANE_COLUMNS))
+            return _no_lanes(len(self.geometry(road)))
         return self._marked[road]
 
     def section(self, edge_m: Floats, outward: Floats, reach_m: float) -> CrossSection | None:
@@ -221,80 +219,6 @@ def object_sections(
     return found
 
 
-def station_sections(
-    surroundings: Surroundings, every_m: float
-) -> list[tuple[str, int, float, int, Floats, Floats, CrossSection]]:
-    """Cross-sections along both sides of every road, at whole multiples of ``every_m``.
-
-    Returns
-    -------
-    name, road, station (m), side, edge (2,), way outwards (2,), section; those that could be made
-    """
-    found = []
-    for number, road in enumerate(surroundings.roads.roads):
-        first = np.ceil(road.start_m / every_m) * every_m
-        stations = np.arange(first, road.end_m + 1e-6, every_m)
-        way = road.direction(stations)
-        for side, word in ((-1, "left"), (1, "right")):
-            half = road.edge_m(stations, np.full(len(stations), side))
-            edges = road.place(stations, side * np.nan_to_num(half))
-            outward = side * np.column_stack([way[:, 1], -way[:, 0]])
-            for row in np.flatnonzero(np.isfinite(half)):
-                section = surroundings.section(edges[row], outward[row], REACH_M)
-                if section is not None:
-                    name = f"{road.name} {stations[row]:.0f} {word}"
-                    found.append(
-                        (
-                            name,
-                            number,
-                            float(stations[row]),
-                            side,
-                            edges[row],
-                            outward[row],
-                            section,
-                        )
-                    )
-    return found
-
-
-def section_rows(
-    name: str,
-    owner: str,
-    route: str,
-    station_m: float,
-    side: int,
-    edge_m: Floats,
-    outward: Floats,
-    section: CrossSection,
-) -> list[tuple]:
-    """Rows of `SECTION_COLUMNS` of one cross-section."""
-    rows = []
-    for number, element in enumerate(section.elements, start=1):
-        start, end = edge_m + element.start_m * outward, edge_m + element.end_m * outward
-        rows.append(
-            (
-                name,
-                owner,
-                route,
-                station_m,
-                side,
-                number,
-                element.kind,
-                element.start_m,
-                element.end_m,
-                element.width_m,
-                element.sigma_width_m,
-                element.slope,
-                element.sigma_slope,
-                "" if np.isnan(element.slope) else element.ratio,
-                element.rise_m,
-                *start,
-                *end,
-            )
-        )
-    return rows
-
-
 def section_table(
     surroundings: Surroundings,
     names: Sequence[str],
@@ -312,22 +236,49 @@ def section_table(
     every_m : 0 for none along the roads.
     """
     roads = surroundings.roads.roads
-    rows: list[tuple] = []
-    for number, section in enumerate(sections):
-        if section is None:
-            continue
-        road = int(located.road[number])
-        route = roads[road].name if road >= 0 else ""
-        name = str(names[number])
-        place = (float(located.station_m[number]), int(located.side[number]))
-        rows += section_rows(
-            f"at {name}", name, route, *place, edge_m[number], outward[number], section
+    places = zip(located.road, located.station_m, located.side, strict=True)
+    found = [
+        (f"at {name}", str(name), int(road), float(station), int(side), edge, way, section)
+        for name, (road, station, side), edge, way, section in zip(
+            names, places, edge_m, outward, sections, strict=True
         )
-    for name, road, station, side, edge, way, section in (
-        station_sections(surroundings, every_m) if every_m > 0 else []
-    ):
-        rows += section_rows(name, "", roads[road].name, station, side, edge, way, section)
+        if section is not None
+    ]
+    rows: list[tuple] = []
+    for name, owner, road, station, side, edge, way, section in [
+        *found,
+        *(_along_roads(surroundings, every_m) if every_m > 0 else []),
+    ]:
+        route = roads[road].name if road >= 0 else ""
+        for number, e in enumerate(section.elements, start=1):
+            ratio = "" if np.isnan(e.slope) else slope_text(e.slope)
+            width, slope = (e.width_m, e.sigma_width_m), (e.slope, e.sigma_slope, ratio)
+            element = (number, e.kind, e.start_m, e.end_m, *width, *slope, e.rise_m)
+            ends = (*(edge + e.start_m * way), *(edge + e.end_m * way))
+            rows.append((name, owner, route, station, side, *element, *ends))
     return pd.DataFrame(rows, columns=list(SECTION_COLUMNS))
+
+
+def _along_roads(
+    surroundings: Surroundings, every_m: float
+) -> list[tuple[str, str, int, float, int, Floats, Floats, CrossSection]]:
+    """Name, no owner, road, station, side, edge, way outwards and section, every so many metres."""
+    found = []
+    for number, road in enumerate(surroundings.roads.roads):
+        first = np.ceil(road.start_m / every_m) * every_m
+        stations = np.arange(first, road.end_m + 1e-6, every_m)
+        way = road.direction(stations)
+        for side, word in ((-1, "left"), (1, "right")):
+            half = road.edge_m(stations, np.full(len(stations), side))
+            edges = road.place(stations, side * np.nan_to_num(half))
+            outward = side * np.column_stack([way[:, 1], -way[:, 0]])
+            for row in np.flatnonzero(np.isfinite(half)):
+                section = surroundings.section(edges[row], outward[row], REACH_M)
+                if section is not None:
+                    name = f"{road.name} {stations[row]:.0f} {word}"
+                    place = (float(stations[row]), side, edges[row], outward[row])
+                    found.append((name, "", number, *place, section))
+    return found
 
 
 def geometry_table(surroundings: Surroundings, site: Hazard | None = None) -> pd.DataFrame:
@@ -371,8 +322,7 @@ def lanes_at(surroundings: Surroundings, located: Located, known: pd.DataFrame) 
     known : lanes and lane_width_m of the inventory at each.
     """
     n = len(located.road)
-    marked = pd.DataFrame(np.full((n, len(LANE_COLUMNS)), np.nan), columns=list(LANE_COLUMNS))
-    paved = np.full(n, np.nan)
+    marked, paved = _no_lanes(n), np.full(n, np.nan)
     for number in np.unique(located.road[located.road >= 0]):
         geometry = surroundings.geometry(int(number))
         own = np.flatnonzero(located.road == number)
@@ -381,6 +331,10 @@ def lanes_at(surroundings: Surroundings, located: Located, known: pd.DataFrame) 
             marked.iloc[own] = surroundings.marked(int(number)).iloc[row].to_numpy()
             paved[own] = geometry["paved_width_m"].to_numpy()[row]
     return with_inventory(marked, known, paved)
+
+
+def _no_lanes(n: int) -> pd.DataFrame:
+    return pd.DataFrame(np.full((n, len(LANE_COLUMNS)), np.nan), columns=list(LANE_COLUMNS))
 
 
 def _nearest_rows(geometry: pd.DataFrame, station_m: Floats) -> Ints:
@@ -444,15 +398,9 @@ def runout_width_m(section: CrossSection | None, within_m: float) -> float:
     """
     if section is None:
         return 0.0
-    return float(
-        sum(
-            e.width_m
-            for e in section.elements
-            if e.kind == "foreslope"
-            and e.start_m < within_m
-            and RECOVERABLE_SLOPE < -e.slope <= TRAVERSABLE_SLOPE
-        )
-    )
+    fores = [e for e in section.elements if e.kind == "foreslope" and e.start_m < within_m]
+    steep = [e for e in fores if RECOVERABLE_SLOPE < -e.slope <= TRAVERSABLE_SLOPE]
+    return float(sum(e.width_m for e in steep))
 
 
 def first_trouble_m(section: CrossSection | None) -> float:
@@ -478,12 +426,8 @@ def nearest_ahead_m(
     """Least offset of the counted objects of the same side within a window; infinite if none."""
     least = np.full(len(road), np.inf)
     for number in range(len(road)):
-        near = (
-            counted
-            & (road == road[number])
-            & (side == side[number])
-            & (np.abs(station_m - station_m[number]) <= window_m / 2)
-        )
+        near = counted & (road == road[number]) & (side == side[number])
+        near &= np.abs(station_m - station_m[number]) <= window_m / 2
         if near.any():
             least[number] = float(np.nanmin(offset_m[near]))
     return least

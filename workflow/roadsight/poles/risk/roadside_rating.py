@@ -24,7 +24,7 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.sections.poles import Hazard
 
 _HAZARD = Hazard()
-
+# Where the rules are from, by the mark that reasons carry.
 SOURCES = {
     "RDG 3.1": "AASHTO Roadside Design Guide, 4th edition (2011), table 3-1, wider end",
     "RDG 3.2": "the same, table 3-2, on the outside of bends",
@@ -37,21 +37,16 @@ SOURCES = {
     "FHWA SE": "FHWA Safety Edge guidance: drop-offs of 2 inches",
     "site": "settings of the site",
 }
-"""Where the rules are from, by the mark that reasons carry."""
-
-_ABOUT_4 = 1 / 4.5
-"""Flatter than between 1V:5H and 1V:4H is flatter than "about 1:4"."""
-_ABOUT_3 = 1 / 2.5
-"""Steeper than between 1V:3H and 1V:2H is "about 1:2"."""
-_STEEPER_THAN_2 = 0.5
-"""1V:2H."""
+_ABOUT_4 = 1 / 4.5  # flatter than between 1V:5H and 1V:4H is flatter than "about 1:4"
+_ABOUT_3 = 1 / 2.5  # steeper than between 1V:3H and 1V:2H is "about 1:2"
+_STEEPER_THAN_2 = 0.5  # 1V:2H
 _FOOT_M = 0.3048
 _MILE_KM = 1.609344
+# Objects within 70 ft along the road are one (HSM chapter 12; from memory).
 _MERGED_M = 70 * _FOOT_M
-"""Objects within 70 ft along the road are one (HSM chapter 12; from memory)."""
 _F_OFFSET_FT = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+# HSM table 12-20, of urban arterials: it is used to compare offsets, not to predict crashes.
 _F_OFFSET = (0.232, 0.133, 0.087, 0.068, 0.057, 0.049, 0.044)
-"""HSM table 12-20, of urban arterials: it is used to compare offsets, not to predict crashes."""
 
 
 def hazard_rating(

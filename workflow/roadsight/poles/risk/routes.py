@@ -18,9 +18,10 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
-from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
+from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, along_m, beside, resampled
 
 MeasureUnit = Literal["m", "km", "ft", "usft", "mi", "usmi"]
+# Metres in the units of measures, by the ends of column names: from_mi, to_mi.
 UNITS_M: dict[str, float] = {
     "m": 1.0,
     "km": 1000.0,
@@ -29,25 +30,22 @@ UNITS_M: dict[str, float] = {
     "mi": 1609.344,
     "usmi": 5280 * 1200 / 3937,
 }
-"""Metres in the units of measures, by the ends of column names: from_mi, to_mi."""
+# Measures are carried over so often; between, they go with the centreline's length. Nearer ones
+# would repeat the corners of a digitised route.
 _KNOTS_M = 10.0
-"""Measures are carried over so often; between, they go with the centreline's length. Nearer ones
-would repeat the corners of a digitised route."""
-_FEWEST = 2
-"""Places with a measure that tell which way it rises."""
+_FEWEST = 2  # places with a measure that tell which way it rises
+# Segments of one route join within this: digitised ends meet, gaps of a survey are longer.
 _JOIN_M = 5.0
-"""Segments of one route join within this: digitised ends meet, gaps of a survey are longer."""
+# Measures differ from the length of their line by no more than this share: lines drawn along a
+# road, its slopes and the projection of a state make 1 or 2 %.
 _SCALE = 0.05
-"""Measures differ from the length of their line by no more than this share: lines drawn along a
-road, its slopes and the projection of a state make 1 or 2 %."""
-_ROUNDED_M = 16.1
-"""And by this: measures in hundredths of a mile."""
+_ROUNDED_M = 16.1  # and by this: measures in hundredths of a mile
+# Routes that share more than this of the shorter one's way along a road contradict each other.
 _SHARED = 0.3
-"""Routes that share more than this of the shorter one's way along a road contradict each other."""
+# Routes of which none is nearer than this are of another place, as cloud and track would be.
 _ELSEWHERE_M = 100_000.0
-"""Routes of which none is nearer than this are of another place, as cloud and track would be."""
+# A route that runs beside less of a road than this share is a crossing or a neighbour.
 _LEAST_BESIDE = 0.01
-"""A route that runs beside less of a road than this share is a crossing or a neighbour."""
 
 
 @dataclass(frozen=True)
@@ -203,14 +201,9 @@ def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
     return {name: near for name, near in found.items() if near.mean() > _LEAST_BESIDE}
 
 
-def _plan_m(road: Road) -> Floats:
-    """Length (n,) along the centreline to each vertex."""
-    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
-
-
 def _known_measures(road: Road, routes: Sequence[Route]) -> tuple[Floats, Floats]:
     """Places along a road (k,), m from its first vertex, and the route's measure at each."""
-    plan = _plan_m(road)
+    plan = along_m(road.xy_m)
     knots = np.unique(np.r_[np.arange(0.0, plan[-1], _KNOTS_M), plan[-1]])
     places = np.column_stack([np.interp(knots, plan, axis) for axis in road.xy_m.T])
     measure, gap = _project(places, routes)
@@ -225,13 +218,8 @@ def _known_measures(road: Road, routes: Sequence[Route]) -> tuple[Floats, Floats
 
 
 def _measured(road: Road, name: str, at: Floats, value: Floats) -> Road:
-    """The road with the measure of its route, turned round if that rises the other way.
-
-    Parameters
-    ----------
-    at, value : as `_known_measures` returns them, two or more.
-    """
-    plan = _plan_m(road)
+    """The road with the measure of its route, turned round if that rises the other way."""
+    plan = along_m(road.xy_m)
     rising = bool(value[-1] >= value[0])
     value = value if rising else -value
     # Feet of corners may repeat: only what rises counts.

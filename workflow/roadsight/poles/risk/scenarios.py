@@ -79,7 +79,7 @@ def classify_places(
 
 def track_radius_m(tracks: RouteTracks, route: int, station_m: float, chord_m: float) -> float:
     """Radius of the circle through the track at a station and half a chord before and after it."""
-    length_m = tracks.route_length_m(route)
+    length_m = float(tracks.length_m[tracks.route == route].sum())
     middle = np.clip(station_m, min(chord_m, length_m / 2), max(length_m - chord_m, length_m / 2))
     a, b, c = tracks.place(route, np.array([middle - chord_m, middle, middle + chord_m]))
     ab, bc = b - a, c - b
@@ -110,44 +110,24 @@ def _crossings(
 # The road itself is a corridor as wide as its edges are apart for the most part. What is paved
 # beyond it and touches it branches off.
 
-CELL_M = 1.0
-"""Cells in which pavement is joined."""
-
+CELL_M = 1.0  # cells in which pavement is joined
+# Cells this near to each other are of one branch: those that share a side or a corner.
 _JOIN_M = 1.5
-"""Cells this near to each other are of one branch: those that share a side or a corner."""
-
-_DRIVEN_M = 15.0
-"""Edges this near to a track are of its road: it has up to four lanes."""
-
-_STATION_M = 5.0
-"""Length of road for which the distance of its edge is told."""
-
+_DRIVEN_M = 15.0  # edges this near to a track are of its road: it has up to four lanes
+_STATION_M = 5.0  # length of road for which the distance of its edge is told
+# The usual distance is the median over so many of them: mouths up to 100 m wide do not move it.
 _USUAL_BINS = 41
-"""The usual distance is the median over so many of them: mouths up to 100 m wide do not move it."""
-
-_BESIDE_M = 1.5
-"""Pavement up to this beyond the usual edge is the road: shoulders and noise."""
-
+_BESIDE_M = 1.5  # pavement up to this beyond the usual edge is the road: shoulders and noise
+# Smaller pieces are none: bays for a mailbox, and wrong classes beside the edge.
 _SMALLEST_M2 = 12.0
-"""Smaller pieces are none: bays for a mailbox, and wrong classes beside the edge."""
-
-_LEAST_REACH_M = 4.0
-"""What reaches less far beyond the edge is a lay-by or a wider shoulder."""
-
+_LEAST_REACH_M = 4.0  # what reaches less far beyond the edge is a lay-by or a wider shoulder
+# Sine of the angle by which a place may lie ahead of the foot on its track: bends have corners.
 _ABREAST = 0.5
-"""Sine of the angle by which a place may lie ahead of the foot on its track: bends have corners."""
-
-_REACH_M = 40.0
-"""So far from the road pavement is looked at."""
-
-_MOUTH_M = 10.0
-"""A branch narrows over this much from its mouth on; its width is measured beyond."""
-
-_ROAD_REACH_M = 20.0
-"""A side road goes on farther than this from the edge."""
-
+_REACH_M = 40.0  # so far from the road pavement is looked at
+_MOUTH_M = 10.0  # a branch narrows over this much from its mouth on; its width is measured beyond
+_ROAD_REACH_M = 20.0  # a side road goes on farther than this from the edge
+# Width of a side road: driveways are narrower (two lanes of 2.3 m are 4.6 m), car parks wider.
 _ROAD_WIDTH_M = (4.5, 20.0)
-"""Width of a side road: driveways are narrower (two lanes of 2.3 m are 4.6 m), car parks wider."""
 
 
 @dataclass(frozen=True)
@@ -189,8 +169,8 @@ def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> B
     none = Branches(np.empty((0, 2)), np.zeros(0, bool))
     if not len(tracks) or not len(pavement_m) or not len(edges_m):
         return none
-    cells = np.unique(np.floor(pavement_m / CELL_M).astype(np.int64), axis=0)
-    xy = np.asarray((cells + 0.5) * CELL_M, np.float64)
+    index = np.unique(np.floor(pavement_m / CELL_M).astype(np.int64), axis=0)
+    xy = np.asarray((index + 0.5) * CELL_M, np.float64)
     beyond = _beyond_m(tracks, xy, edges_m)
     out = np.flatnonzero((beyond > _BESIDE_M) & (beyond <= _REACH_M))
     if not len(out):
@@ -206,19 +186,14 @@ def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> B
     np.maximum.at(farthest, part, beyond)
     kept = (area >= _SMALLEST_M2) & (farthest >= _LEAST_REACH_M)
     kept &= nearest <= _BESIDE_M + 2 * CELL_M
-    roads = np.array([_is_road(beyond[part == number]) for number in range(len(area))], bool)
+    roads = np.zeros(len(area), bool)
+    for number in np.flatnonzero(farthest >= _ROAD_REACH_M):
+        cells = np.count_nonzero(beyond[part == number] > _MOUTH_M)
+        width = cells * CELL_M**2 / (farthest[number] - _MOUTH_M)
+        # Cells that are paved in part stand out half a cell on either side.
+        roads[number] = _ROAD_WIDTH_M[0] <= width - CELL_M <= _ROAD_WIDTH_M[1]
     own = kept[part]
     return Branches(xy[own], roads[part[own]])
-
-
-def _is_road(beyond_m: Floats) -> bool:
-    """Whether a branch goes on like a road, from the distances of its cells from the edge."""
-    reach = beyond_m.max()
-    if reach < _ROAD_REACH_M:
-        return False
-    width = np.count_nonzero(beyond_m > _MOUTH_M) * CELL_M**2 / (reach - _MOUTH_M)
-    # Cells that are paved in part stand out half a cell on either side.
-    return bool(_ROAD_WIDTH_M[0] <= width - CELL_M <= _ROAD_WIDTH_M[1])
 
 
 def _beyond_m(tracks: RouteTracks, xy_m: Floats, edges_m: Floats) -> Floats:

@@ -28,23 +28,21 @@ from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.roads import Roads, resampled
 
 _HAZARD = Hazard()
+# The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them.
 TERMINAL_M = 3.81
-"""The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them."""
+# A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
+# nearer behind it are hit through it.
 DEFLECTION_M = _HAZARD.deflection_m
-"""A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
-nearer behind it are hit through it."""
-_STEP_M = 1.0
-"""Spacing of places along a barrier."""
-_BESIDE_ROAD_M = 15.0
-"""Barriers further from the road's edge are of another road."""
-_ON_IT_M = 0.1
-"""Objects this near a barrier's line are of it: its own ends and posts."""
+_STEP_M = 1.0  # spacing of places along a barrier
+_BESIDE_ROAD_M = 15.0  # barriers further from the road's edge are of another road
+_ON_IT_M = 0.1  # objects this near a barrier's line are of it: its own ends and posts
+# Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph.
 _RUNOUT_SPEEDS_KMH = (50.0, 64.4, 80.5, 100.0, 112.7, 130.0)
-"""Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph."""
+# Least traffic of each of the table's classes but the first, vehicles a day: "under 1,000", "1,000
+# to 5,000", "5,000 to 10,000", "over 10,000". Of the two classes that name 5,000 the longer one is
+# taken.
 _RUNOUT_AADT = (1000.0, 5000.0, np.nextafter(10_000.0, np.inf))
-"""Least traffic of each of the table's classes but the first, vehicles a day: "under 1,000", "1,000
-to 5,000", "5,000 to 10,000", "over 10,000". Of the two classes that name 5,000 the longer one is
-taken."""
+# Rows by speed, columns by traffic.
 _RUNOUT_M = np.array(
     [
         [21.0, 24.0, 27.0, 34.0],
@@ -55,7 +53,6 @@ _RUNOUT_M = np.array(
         [101.0, 116.0, 131.0, 143.0],
     ]
 )
-"""Rows by speed, columns by traffic."""
 
 
 @dataclass(frozen=True)
@@ -125,10 +122,8 @@ def _barrier_doubts(
 ) -> list[Doubt]:
     """Doubts about barriers that count for nothing.
 
-    Parameters
-    ----------
-    lost : names of those along no road, and how far each is from one, m (NaN without roads).
-    bare : names of others, and along which of their places no edge is known.
+    Those that are lost are along no road, so far from one (NaN without roads); those that are bare
+    have places along which no edge is known.
     """
     found = []
     if lost:
@@ -150,24 +145,18 @@ def _barrier_doubts(
     return found
 
 
-def runout_m(design_speed_kmh: float, aadt: float) -> float:
-    """Runout length, m (RDG table 5-10); speeds between rows take the next higher one."""
-    row = min(
-        int(np.searchsorted(_RUNOUT_SPEEDS_KMH, design_speed_kmh)), len(_RUNOUT_SPEEDS_KMH) - 1
-    )
-    return float(_RUNOUT_M[row, int(np.searchsorted(_RUNOUT_AADT, aadt, side="right"))])
+def barrier_ends(barriers: Sequence[Barrier]) -> pd.DataFrame:
+    """Ends of barriers as objects: id, kind, x, y (local metres).
 
-
-def length_of_need_m(reach_m: float, barrier_m: float, runout: float) -> float:
-    """Barrier ahead of an object (RDG chapter 5, without flare); 0 where none is needed.
-
-    Parameters
-    ----------
-    reach_m : LA, lateral reach of the object. barrier_m : L2, offset of the barrier.
+    Places at which a line was cut are no ends: the barrier goes on there.
     """
-    if reach_m <= 0 or barrier_m >= reach_m:
-        return 0.0
-    return runout * (1.0 - max(barrier_m, 0.0) / reach_m)
+    rows = [
+        (f"{barrier.name} {word}", "barrier end", *place)
+        for barrier in barriers
+        for word, place in zip(("start", "end"), barrier.ends_m, strict=True)
+        if np.isfinite(place).all()
+    ]
+    return pd.DataFrame(rows, columns=["id", "kind", "x", "y"])
 
 
 @dataclass(frozen=True)
@@ -203,15 +192,12 @@ def shielding(demand: Demand, barriers: Sequence[Barrier]) -> tuple[str, float, 
 
     Of several barriers before an object the one that shields it best counts.
     """
-    best: tuple[str, float, str] = ("none", float("nan"), "")
     order = ("none", "partial", "full")
+    found = [("none", float("nan"), "")]
     for barrier in barriers:
-        if barrier.road != demand.road or barrier.side != demand.side:
-            continue
-        found = _behind(demand, barrier)
-        if order.index(found[0]) > order.index(best[0]):
-            best = found
-    return best
+        if barrier.road == demand.road and barrier.side == demand.side:
+            found.append(_behind(demand, barrier))
+    return max(found, key=lambda one: order.index(one[0]))
 
 
 def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
@@ -248,15 +234,20 @@ def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
     return "full", offset, f"{told} along its length of need"
 
 
-def barrier_ends(barriers: Sequence[Barrier]) -> pd.DataFrame:
-    """Ends of barriers as objects: id, kind, x, y (local metres).
+def runout_m(design_speed_kmh: float, aadt: float) -> float:
+    """Runout length, m (RDG table 5-10); speeds between rows take the next higher one."""
+    row = int(np.searchsorted(_RUNOUT_SPEEDS_KMH, design_speed_kmh))
+    row = min(row, len(_RUNOUT_SPEEDS_KMH) - 1)
+    return float(_RUNOUT_M[row, int(np.searchsorted(_RUNOUT_AADT, aadt, side="right"))])
 
-    Places at which a line was cut are no ends: the barrier goes on there.
+
+def length_of_need_m(reach_m: float, barrier_m: float, runout: float) -> float:
+    """Barrier ahead of an object (RDG chapter 5, without flare); 0 where none is needed.
+
+    Parameters
+    ----------
+    reach_m : LA, lateral reach of the object. barrier_m : L2, offset of the barrier.
     """
-    rows = [
-        (f"{barrier.name} {word}", "barrier end", *place)
-        for barrier in barriers
-        for word, place in zip(("start", "end"), barrier.ends_m, strict=True)
-        if np.isfinite(place).all()
-    ]
-    return pd.DataFrame(rows, columns=["id", "kind", "x", "y"])
+    if reach_m <= 0 or barrier_m >= reach_m:
+        return 0.0
+    return runout * (1.0 - max(barrier_m, 0.0) / reach_m)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from pyproj import Geod
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_array
@@ -18,19 +17,15 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
+# Distances up to which a found pole counts as right, each scored by itself.
 THRESHOLDS_M = tuple(range(1, 17))
-"""Distances up to which a found pole counts as right, each scored by itself."""
-FEWEST_TRUTHS = 5
-"""With fewer known poles the figures come with a warning."""
-OTHERS_M = 3.0
-"""Distance up to which a found sign or tree counts as right."""
-LINES_M = 1.0
-"""The same of a guardrail."""
+FEWEST_TRUTHS = 5  # with fewer known poles the figures come with a warning
+OTHERS_M = 3.0  # distance up to which a found sign or tree counts as right
+LINES_M = 1.0  # the same of a guardrail
+# Trees count this near to the road's edge: clear zones end there, and forests begin.
 NEAR_EDGE_M = 10.0
-"""Trees count this near to the road's edge: clear zones end there, and forests begin."""
-
+# Edge points within this tell the edge's direction: fewer are noise, more follow a bend.
 _EDGE_REACH_M = 5.0
-"""Edge points within this tell the edge's direction: fewer are noise, more follow a bend."""
 _GEOD = Geod(ellps="WGS84")
 
 
@@ -59,21 +54,19 @@ def match_points(found_m: Floats, truth_m: Floats, threshold_m: float) -> Ints:
     order = np.lexsort([near["j"], near["i"], part[near["i"]]])
     near = near[order]
     cuts = np.flatnonzero(np.diff(part[near["i"]])) + 1
-    matches = np.concatenate([_assign(block, threshold_m) for block in np.split(near, cuts)])
+    found = []
+    for block in np.split(near, cuts):
+        rows, row = np.unique(block["i"], return_inverse=True)
+        columns, column = np.unique(block["j"], return_inverse=True)
+        # A missing match costs more than all distances of the part together.
+        missing = (threshold_m + 1.0) * (min(len(rows), len(columns)) + 1)
+        cost = np.full((len(rows), len(columns)), missing)
+        cost[row, column] = block["v"]
+        i, j = linear_sum_assignment(cost)
+        real = cost[i, j] < missing
+        found.append(np.column_stack([rows[i[real]], columns[j[real]]]))
+    matches = np.concatenate(found)
     return matches[np.argsort(matches[:, 0])]
-
-
-def _assign(near: NDArray, threshold_m: float) -> Ints:
-    """Best assignment among the near pairs of one connected part."""
-    rows, row = np.unique(near["i"], return_inverse=True)
-    columns, column = np.unique(near["j"], return_inverse=True)
-    # A missing match costs more than all distances of the part together.
-    missing = (threshold_m + 1.0) * (min(len(rows), len(columns)) + 1)
-    cost = np.full((len(rows), len(columns)), missing)
-    cost[row, column] = near["v"]
-    i, j = linear_sum_assignment(cost)
-    real = cost[i, j] < missing
-    return np.column_stack([rows[i[real]], columns[j[real]]])
 
 
 def score_thresholds(
@@ -92,11 +85,7 @@ def score_thresholds(
 
 
 def score_near(
-    found_m: Floats,
-    truth_m: Floats,
-    found_counts: Bools,
-    truth_counts: Bools,
-    threshold_m: float = OTHERS_M,
+    found_m: Floats, truth_m: Floats, found_counts: Bools, truth_counts: Bools
 ) -> dict[str, float | int | None]:
     """Scores of objects of which only those near something count.
 
@@ -107,17 +96,15 @@ def score_near(
     ----------
     found_counts, truth_counts : (n,) and (m,) whether each counts.
     """
-    matches = match_points(found_m, truth_m, threshold_m)
+    matches = match_points(found_m, truth_m, OTHERS_M)
     tp = int(truth_counts[matches[:, 1]].sum())
     alone = np.ones(len(found_m), bool)
     alone[matches[:, 0]] = False
     fp, fn = int((alone & found_counts).sum()), int(truth_counts.sum()) - tp
-    return {"threshold_m": threshold_m, **_scores(tp, fp, fn)}
+    return {"threshold_m": OTHERS_M, **_scores(tp, fp, fn)}
 
 
-def score_lines(
-    found: Sequence[Floats], truth: Sequence[Floats], within_m: float = LINES_M
-) -> dict[str, float | int | None]:
+def score_lines(found: Sequence[Floats], truth: Sequence[Floats]) -> dict[str, float | int | None]:
     """Scores by length, m: a line is right where one of the others runs within a distance.
 
     Parameters
@@ -127,9 +114,9 @@ def score_lines(
     ours, theirs = (
         shapely.union_all([shapely.LineString(one) for one in o]) for o in (found, truth)
     )
-    tp = theirs.intersection(ours.buffer(within_m)).length
-    fp = ours.difference(theirs.buffer(within_m)).length
-    return {"threshold_m": within_m, **_scores(tp, fp, theirs.length - tp)}
+    tp = theirs.intersection(ours.buffer(LINES_M)).length
+    fp = ours.difference(theirs.buffer(LINES_M)).length
+    return {"threshold_m": LINES_M, **_scores(tp, fp, theirs.length - tp)}
 
 
 def _scores(tp: float, fp: float, fn: float) -> dict[str, float | int | None]:
@@ -141,6 +128,61 @@ def _scores(tp: float, fp: float, fn: float) -> dict[str, float | int | None]:
         "recall": _ratio(tp, tp + fn),
         "f1": _ratio(2 * tp, 2 * tp + fp + fn),
     }
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None
+
+
+def describe(values: Floats) -> dict[str, float | int | None]:
+    """Count, mean, standard deviation, least, quartiles and greatest; None where empty."""
+    values = values[np.isfinite(values)]
+    names = ("mean", "std", "min", "q25", "median", "q75", "max")
+    if len(values) == 0:
+        return {"count": 0} | dict.fromkeys(names)
+    spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    numbers = [float(values.mean()), spread, *np.quantile(values, [0, 0.25, 0.5, 0.75, 1])]
+    return {"count": len(values)} | {
+        name: float(number) for name, number in zip(names, numbers, strict=True)
+    }
+
+
+def describe_scenarios(errors_m: Floats, scenarios: pd.DataFrame) -> dict[str, Any]:
+    """Errors of the matches by scenario; None for a class that could not be measured.
+
+    Parameters
+    ----------
+    errors_m : shape (n,). scenarios : the same rows, see `roadsight.poles.risk.scenarios`.
+    """
+    found: dict[str, Any] = {}
+    for name in ("straight", "curved", "intersection", "extraneous"):
+        known = scenarios[name].notna().to_numpy() if len(scenarios) else np.zeros(0, bool)
+        if len(scenarios) and not known.any():
+            found[name] = None
+            continue
+        chosen = known & scenarios[name].eq(True).to_numpy()
+        found[name] = describe(errors_m[chosen])
+    return found
+
+
+def cautions(truths: int, out_of_reach: int) -> list[str]:
+    """What a reader of the figures should know."""
+    found = []
+    if truths < FEWEST_TRUTHS:
+        found.append(f"only {truths} known poles within reach: the figures say little")
+    if out_of_reach:
+        found.append(
+            f"{out_of_reach} known poles lie out of reach of every camera and do not count"
+        )
+    return found
+
+
+def within_reach(places_m: Floats, cameras_m: Floats, reach_m: float) -> Bools:
+    """Whether a camera stands within reach of each place."""
+    if len(places_m) == 0 or len(cameras_m) == 0:
+        return np.zeros(len(places_m), bool)
+    distance, _ = cKDTree(cameras_m).query(places_m)
+    return np.asarray(distance <= reach_m)
 
 
 def geodesic_m(
@@ -189,58 +231,3 @@ def split_errors(errors_m: Floats, normals: Floats) -> tuple[Floats, Floats]:
     across = np.abs((errors_m * normals).sum(axis=1))
     along = np.abs(errors_m[:, 0] * normals[:, 1] - errors_m[:, 1] * normals[:, 0])
     return across, along
-
-
-def describe(values: Floats) -> dict[str, float | int | None]:
-    """Count, mean, standard deviation, least, quartiles and greatest; None where empty."""
-    values = values[np.isfinite(values)]
-    names = ("mean", "std", "min", "q25", "median", "q75", "max")
-    if len(values) == 0:
-        return {"count": 0} | dict.fromkeys(names)
-    spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
-    numbers = [float(values.mean()), spread, *np.quantile(values, [0, 0.25, 0.5, 0.75, 1])]
-    return {"count": len(values)} | {
-        name: float(number) for name, number in zip(names, numbers, strict=True)
-    }
-
-
-def within_reach(places_m: Floats, cameras_m: Floats, reach_m: float) -> Bools:
-    """Whether a camera stands within reach of each place."""
-    if len(places_m) == 0 or len(cameras_m) == 0:
-        return np.zeros(len(places_m), bool)
-    distance, _ = cKDTree(cameras_m).query(places_m)
-    return np.asarray(distance <= reach_m)
-
-
-def describe_scenarios(errors_m: Floats, scenarios: pd.DataFrame) -> dict[str, Any]:
-    """Errors of the matches by scenario; None for a class that could not be measured.
-
-    Parameters
-    ----------
-    errors_m : shape (n,). scenarios : the same rows, see `roadsight.poles.risk.scenarios`.
-    """
-    found: dict[str, Any] = {}
-    for name in ("straight", "curved", "intersection", "extraneous"):
-        known = scenarios[name].notna().to_numpy() if len(scenarios) else np.zeros(0, bool)
-        if len(scenarios) and not known.any():
-            found[name] = None
-            continue
-        chosen = known & scenarios[name].eq(True).to_numpy()
-        found[name] = describe(errors_m[chosen])
-    return found
-
-
-def cautions(truths: int, out_of_reach: int) -> list[str]:
-    """What a reader of the figures should know."""
-    found = []
-    if truths < FEWEST_TRUTHS:
-        found.append(f"only {truths} known poles within reach: the figures say little")
-    if out_of_reach:
-        found.append(
-            f"{out_of_reach} known poles lie out of reach of every camera and do not count"
-        )
-    return found
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return part / whole if whole else None

@@ -14,17 +14,12 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.poles.images.kinds import ObjectKind
 
-CELL_M = 0.5
-"""Cells in plan in which returns of a class are joined."""
-
+CELL_M = 0.5  # cells in plan in which returns of a class are joined
+# Cells this near to each other are of one object: those that share a side or a corner.
 _JOIN_CELLS = 1.5
-"""Cells this near to each other are of one object: those that share a side or a corner."""
-
-_EVERY_M = 1.0
-"""Spacing of the places on an outline."""
-
+_EVERY_M = 1.0  # spacing of the places on an outline
+# Standard deviation of an outline, each axis: cells of 0.5 m, of whose outermost half is cut.
 SIGMA_M = 0.3
-"""Standard deviation of an outline, each axis: cells of 0.5 m, of whose outermost half is cut."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +48,10 @@ class Block:
 
 def block_cells(xyz_m: Floats) -> BlockCells:
     """Cells of returns (n, 3) of one class."""
-    index, own = np.unique(
-        np.floor(xyz_m[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True
-    )
+    cell = np.floor(xyz_m[:, :2] / CELL_M).astype(np.int64)
+    index, own = np.unique(cell, axis=0, return_inverse=True)
     own = own.ravel()
-    top, low = np.full(len(index), -np.inf), np.full(len(index), np.inf)
-    np.maximum.at(top, own, xyz_m[:, 2])
-    np.minimum.at(low, own, xyz_m[:, 2])
-    return BlockCells(index.reshape(-1, 2), top, low)
+    return BlockCells(index.reshape(-1, 2), *_extremes(own, xyz_m[:, 2], xyz_m[:, 2]))
 
 
 def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
@@ -73,16 +64,23 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
     if not len(index):
         return []
     index, own = np.unique(index, axis=0, return_inverse=True)
-    top, low = np.full(len(index), -np.inf), np.full(len(index), np.inf)
-    np.maximum.at(top, own.ravel(), np.concatenate([part.top_m for part in parts]))
-    np.minimum.at(low, own.ravel(), np.concatenate([part.low_m for part in parts]))
+    top, low = (np.concatenate([getattr(p, n) for p in parts]) for n in ("top_m", "low_m"))
+    top, low = _extremes(own.ravel(), top, low)
     pairs = cKDTree(index).query_pairs(_JOIN_CELLS, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(index), len(index)))
     _, part = connected_components(graph, directed=False)
     order = np.argsort(part, kind="stable")
     found = []
     for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
-        shapes = [shape for shape in _outlines(index[rows]) if _within(shape.area, kind.area_m2)]
+        # Single empty cells are filled, and a quarter of a metre is cut: a cell at the border is
+        # half full on average. What that parts are several objects, such as houses that touch at a
+        # corner; what it leaves nothing of keeps its hull.
+        low_m = index[rows] * CELL_M
+        whole = shapely.union_all(shapely.box(*low_m.T, *(low_m + CELL_M).T))
+        filled = shapely.buffer(whole, CELL_M, join_style="mitre")
+        inner = shapely.buffer(filled, -1.5 * CELL_M, join_style="mitre")
+        parted = shapely.get_parts(inner if not inner.is_empty else whole.convex_hull)
+        shapes = [shape for shape in parted if _within(shape.area, kind.area_m2)]
         if not shapes:
             continue
         middles = shapely.points((index[rows] + 0.5) * CELL_M)
@@ -96,60 +94,40 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
     return sorted(found, key=lambda block: (block.outline_m[:, 0].min(), block.outline_m[0, 1]))
 
 
+def _extremes(cell: Ints, top_m: Floats, low_m: Floats) -> tuple[Floats, Floats]:
+    """Greatest and least height in each cell, numbered from 0."""
+    count = int(cell.max(initial=-1)) + 1
+    top, low = np.full(count, -np.inf), np.full(count, np.inf)
+    np.maximum.at(top, cell, top_m)
+    np.minimum.at(low, cell, low_m)
+    return top, low
+
+
 def _within(value: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= value <= limits[1]
 
 
-def _outlines(index: Ints) -> list[shapely.Polygon]:
-    """Outlines of joined cells, single empty ones filled, a quarter of a metre inside.
-
-    A cell at the border is half full on average. What that parts are several objects, such as
-    houses that touch at a corner; what it leaves nothing of keeps its hull.
-    """
-    low = index * CELL_M
-    whole = shapely.union_all(shapely.box(*low.T, *(low + CELL_M).T))
-    filled = shapely.buffer(whole, CELL_M, join_style="mitre")
-    inner = shapely.buffer(filled, -1.5 * CELL_M, join_style="mitre")
-    shape = inner if not inner.is_empty else whole.convex_hull
-    return list(shapely.get_parts(shape))
-
-
 # Roofs in a cloud whose classes tell no buildings: plane, steady and well above the ground.
 
-_UNTOLD = (0, 1)
-"""Classes of returns that may be of anything."""
-
-_LOWEST_M = 2.0
-"""Over the ground: the least height of a building."""
-
+_UNTOLD = (0, 1)  # classes of returns that may be of anything
+_LOWEST_M = 2.0  # over the ground: the least height of a building
+# Edge of the cubes of which one return each is looked at, so that density does not decide.
 _CUBE_M = 0.3
-"""Edge of the cubes of which one return each is looked at, so that density does not decide."""
-
-_ON_PLANE = 10
-"""Returns that a plane is fitted to."""
-
-_REACH_M = 1.6
-"""They are this near: at 2 returns a square metre ten lie within 1.3 m."""
-
+_ON_PLANE = 10  # returns that a plane is fitted to
+_REACH_M = 1.6  # they are this near: at 2 returns a square metre ten lie within 1.3 m
+# Standard deviation from the plane. Share of class 6, hidden, that is found, and of what is found
+# that is right, at Delft (15 returns a square metre) and Montpellier (28): 0.75 and 0.99, 0.92 and
+# 0.93. With 0.09 m, and cubes of 0.4, a crown whose leaves are a shell is a roof.
 _ROUGH_M = 0.06
-"""Standard deviation from the plane. Share of class 6, hidden, that is found, and of what is found
-that is right, at Delft (15 returns a square metre) and Montpellier (28): 0.75 and 0.99, 0.92 and
-0.93. With 0.09 m, and cubes of 0.4, a crown whose leaves are a shell is a roof."""
-
+# Least vertical part of the normal: roofs are up to 60 degrees steep, walls are not roofs.
 _UPRIGHT = 0.5
-"""Least vertical part of the normal: roofs are up to 60 degrees steep, walls are not roofs."""
-
-_PLANE_SHARE = 0.5
-"""Of a cell's raised returns that lie on planes."""
-
+_PLANE_SHARE = 0.5  # of a cell's raised returns that lie on planes
+# Half of the 25 cells about one of a roof are of it too; patches of leaves are smaller.
 _AROUND_CELLS, _LEAST_AROUND = 2, 12
-"""Half of the 25 cells about one of a roof are of it too; patches of leaves are smaller."""
-
+# A cell and the eight about it.
 _BESIDE = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
-"""A cell and the eight about it."""
-
+# Of a building without a class: smaller planes are vehicles, hedges that are cut, crowns.
 ROOF_AREA_M2 = (10.0, float("inf"))
-"""Of a building without a class: smaller planes are vehicles, hedges that are cut, crowns."""
 
 
 def roof_cells(xyz_m: Floats, above_ground_m: Floats, cls: Bytes, own: Bools) -> BlockCells:
@@ -167,9 +145,7 @@ def roof_cells(xyz_m: Floats, above_ground_m: Floats, cls: Bytes, own: Bools) ->
     number = number.ravel()
     plane = _on_planes(points)[own]
     most = np.bincount(number, plane, len(cells)) >= _PLANE_SHARE * np.bincount(number)
-    top, ground = np.full(len(cells), -np.inf), np.full(len(cells), np.inf)
-    np.maximum.at(top, number, points[own, 2])
-    np.minimum.at(ground, number, points[own, 2] - above_ground_m[raised][own])
+    top, ground = _extremes(number, points[own, 2], points[own, 2] - above_ground_m[raised][own])
     return BlockCells(cells.reshape(-1, 2)[most], top[most], ground[most])
 
 

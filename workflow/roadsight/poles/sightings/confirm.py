@@ -17,23 +17,18 @@ from roadsight.geometry.cameras import project
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
+# What a view says about an object: that it is there, that something else is, neither of both (it
+# may be hidden), nothing.
 SEEN, AGAINST, UNDECIDED, OUT_OF_VIEW = 1, -1, 0, 2
-"""What a view says about an object: that it is there, that something else is, neither of both (it
-may be hidden), nothing."""
+# Why an object is dropped that lies far from the road that was driven.
 UNSEEN = "no image looks at it"
-"""Why an object is dropped that lies far from the road that was driven."""
-_SHOWN = 0.5
-"""From this share of its points in the image on, a class is what stands there."""
-_FEWEST = 3
-"""Points of an object in the image, so that one at its edge is not judged by a corner."""
-_BESIDE_M = 3.0
-"""Objects nearer to the camera are beside the vehicle."""
+_SHOWN = 0.5  # from this share of its points in the image on, a class is what stands there
+_FEWEST = 3  # points of an object in the image, so that one at its edge is not judged by a corner
+_BESIDE_M = 3.0  # objects nearer to the camera are beside the vehicle
+# Heights of the points on a tree, as shares of its own: below is the trunk, which bushes hide.
 _CROWN_SHARES = np.linspace(0.35, 0.95, 7)
-"""Heights of the points on a tree, as shares of its own: below is the trunk, which bushes hide."""
-_BLOCK_SHARES = np.linspace(0.3, 0.8, 3)
-"""The same of the points on the outline of a building."""
-_RAIL_M = 0.6
-"""Height of the points on a rail."""
+_BLOCK_SHARES = np.linspace(0.3, 0.8, 3)  # the same of the points on the outline of a building
+_RAIL_M = 0.6  # height of the points on a rail
 _SHARES = {"crown": _CROWN_SHARES, "block": _BLOCK_SHARES, "line": np.ones(1)}
 
 
@@ -118,7 +113,7 @@ def confirmed(table: pd.DataFrame, seen: pd.DataFrame) -> pd.DataFrame:
     found = table[keys].drop_duplicates().sort_values(keys, ignore_index=True)
     votes = seen.assign(shown=seen["answer"] == SEEN, against=seen["answer"] == AGAINST, asked=True)
     count = votes.groupby(keys, as_index=False)[["shown", "against", "asked"]].sum()
-    named = votes[votes["shown"]].groupby(keys, as_index=False)[["image", "route"]].agg(_joined)
+    named = votes[votes["shown"]].groupby(keys, as_index=False)[["image", "route"]].agg(joined)
     found = found.merge(count, on=keys, how="left").merge(named, on=keys, how="left")
     shown, against, asked = (
         found[n].fillna(0).to_numpy(np.int64) for n in ("shown", "against", "asked")
@@ -140,5 +135,6 @@ def confirmed(table: pd.DataFrame, seen: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _joined(names: pd.Series) -> str:
+def joined(names: pd.Series) -> str:
+    """Each name once, in order, parted by semicolons."""
     return ";".join(sorted(set(names.astype(str))))

@@ -6,32 +6,25 @@ The paper maps relative depth d to the camera's z by d = c1 / (-z) + c2 with z n
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Bools, Floats
 
-_TUKEY = 4.685
-"""Tuning constant of the bisquare: 95 % efficiency where errors are normal."""
-
-TO_SIGMA = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
-
-_ROUNDS = 30
-"""Rounds of least absolute errors, and as many of the bisquare after them."""
-
+_TUKEY = 4.685  # tuning constant of the bisquare: 95 % efficiency where errors are normal
+TO_SIGMA = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
+_ROUNDS = 30  # rounds of least absolute errors, and as many of the bisquare after them
+# Standard deviations from the pole of the relation within which depth is unknown.
 _GUARD_SIGMAS = 2.0
-"""Standard deviations from the pole of the relation within which depth is unknown."""
+_BINS = 12  # stretches of log depth that have the same say
 
-_LEAST_POINTS = 8
-"""Points of known depth that two coefficients need."""
-
+_AGREE_SIGMAS = 3.0  # distances agree within so many common sigmas
+_LEAST_POINTS = 8  # points of known depth that two coefficients need
+# Farthest over nearest known depth: with less, scale and shift of the map look alike.
 _LEAST_RATIO = 1.3
-"""Farthest over nearest known depth: with less, scale and shift of the map look alike."""
 
 
 @dataclass(frozen=True)
@@ -182,60 +175,19 @@ def _no_fit(reason: str) -> DepthFit:
     return DepthFit(nan, nan, np.full((2, 2), nan), nan, nan, nan, 0, reason)
 
 
-def balancing_weights(z_m: ArrayLike, bins: int = 12) -> Floats:
+def balancing_weights(z_m: ArrayLike) -> Floats:
     """Weights (n,) that give each stretch of log depth the same say: near points are too many."""
     z = np.log(np.maximum(np.asarray(z_m, np.float64), 1e-3))
     if not len(z):
         return z
-    number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * bins).astype(int), 0, bins - 1)
-    return 1.0 / np.bincount(number, minlength=bins)[number]
+    number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * _BINS).astype(int), 0, _BINS - 1)
+    return 1.0 / np.bincount(number, minlength=_BINS)[number]
 
 
-HeightAt = Callable[[Floats, Floats], Floats]
-"""Ground height (n,) at local x, y (n,), NaN where unknown."""
-
-
-def ground_distance_m(
-    origin_m: ArrayLike,
-    rays: Floats,
-    height_at: HeightAt,
-    nearest_m: float = 1.0,
-    farthest_m: float = 120.0,
-    step_m: float = 0.25,
-) -> Floats:
-    """Horizontal distance (n,) at which rays first go below the ground; NaN if they do not.
-
-    Parameters
-    ----------
-    origin_m : camera centre (3,), local metres. rays : directions (n, 3) in the local frame.
-    height_at : the terrain. nearest_m, farthest_m, step_m : of the march along the ground.
-    """
-    origin = np.asarray(origin_m, np.float64)
-    rays = np.asarray(rays, np.float64)
-    level = np.hypot(rays[:, 0], rays[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        unit = rays / level[:, None]
-    steps = np.arange(nearest_m, farthest_m + step_m, step_m)
-    x = origin[0] + unit[:, :1] * steps
-    y = origin[1] + unit[:, 1:2] * steps
-    flat = np.isfinite(x) & np.isfinite(y)
-    ground = height_at(np.where(flat, x, np.nan).ravel(), np.where(flat, y, np.nan).ravel())
-    above = origin[2] + unit[:, 2:] * steps - ground.reshape(x.shape)
-    crossed = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-    first = np.argmax(crossed, axis=1)
-    lines = np.arange(len(rays))
-    before, after = above[lines, first], above[lines, first + 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = steps[first] + step_m * before / (before - after)
-    return np.where(crossed.any(axis=1), distance, np.nan)
-
-
-def fuse_depths(
-    depths_m: ArrayLike, sigmas_m: ArrayLike, agree_sigmas: float = 3.0
-) -> tuple[float, float, Bools]:
+def fuse_depths(depths_m: ArrayLike, sigmas_m: ArrayLike) -> tuple[float, float, Bools]:
     """One distance from several by inverse variance, without those that disagree.
 
-    While two used ones differ by more than ``agree_sigmas`` of their common sigma, the one furthest
+    While two used ones differ by more than three of their common sigmas, the one furthest
     from the weighted mean of the others goes; of two that disagree the surer one stays, and sigma
     is widened to half of their difference.
 
@@ -251,8 +203,17 @@ def fuse_depths(
     used = np.isfinite(depth) & np.isfinite(sigma) & (sigma > 0)
     widened = 0.0
     while np.count_nonzero(used) > 1:
-        worst, score = _most_apart(depth, sigma, np.flatnonzero(used))
-        if score <= agree_sigmas:
+        # Which one is furthest from the mean of the others, in their common sigmas.
+        worst, score = -1, -1.0
+        for one in np.flatnonzero(used):
+            others = used.copy()
+            others[one] = False
+            weights = 1.0 / sigma[others] ** 2
+            middle = np.sum(weights * depth[others]) / weights.sum()
+            apart = abs(depth[one] - middle) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
+            if apart > score:
+                worst, score = int(one), float(apart)
+        if score <= _AGREE_SIGMAS:
             break
         if np.count_nonzero(used) == 2:
             first, second = np.flatnonzero(used)
@@ -266,35 +227,17 @@ def fuse_depths(
     return mean, float(max(np.sqrt(1.0 / weights.sum()), widened)), used
 
 
-def _most_apart(depth: Floats, sigma: Floats, used: Ints) -> tuple[int, float]:
-    """Which used one is furthest from the mean of the others, in their common sigmas."""
-    worst, score = int(used[0]), -1.0
-    for one in used:
-        others = used[used != one]
-        weights = 1.0 / sigma[others] ** 2
-        mean = np.sum(weights * depth[others]) / weights.sum()
-        apart = abs(depth[one] - mean) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
-        if apart > score:
-            worst, score = int(one), float(apart)
-    return worst, score
-
-
 # Depth networks by camera: their distances held against those where feet meet the ground.
 #
 # A network that sees another lens than it learned from errs alike on the whole drive, while its
 # fit to each image's road says that all is well. Feet that stand on the terrain tell by how much.
 
-_FEWEST = 12
-"""Objects with both distances from which a camera's scale is found."""
-
-_SURE = 3.0
-"""Standard errors by which a scale must differ from 1."""
-
+_FEWEST = 12  # objects with both distances from which a camera's scale is found
+_SURE = 3.0  # standard errors by which a scale must differ from 1
+# Ways to a distance, in the order in which `COLUMNS` has them.
 _KINDS = ("network", "ground", "lidar")
-"""Ways to a distance, in the order in which `COLUMNS` has them."""
-
+# Distance and sigma of each way.
 COLUMNS = tuple(f"{part}depth_{kind}_m" for kind in _KINDS for part in ("", "sigma_"))
-"""Distance and sigma of each way."""
 
 
 @dataclass(frozen=True)

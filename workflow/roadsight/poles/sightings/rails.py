@@ -10,61 +10,49 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.sightings.lidar_poles import NO_COLUMN
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, thinned
 
-_ABOVE_M = 1.0
-"""Height over a rail in which a wall, a fence or a vehicle has returns."""
-_DECK = 17
-"""ASPRS class of bridge decks, over which the ground is a valley's."""
-_DECK_M = 1.5
-"""Rails stand no further from the deck of their bridge."""
-_THIN_M = 0.1
-"""Cells in plan that count as one return each, however dense the cloud."""
-REACH_M = 4.0
-"""Stretch of rail to either side of a return that shows its direction."""
+_ABOVE_M = 1.0  # height over a rail in which a wall, a fence or a vehicle has returns
+_DECK = 17  # ASPRS class of bridge decks, over which the ground is a valley's
+_DECK_M = 1.5  # rails stand no further from the deck of their bridge
+_THIN_M = 0.1  # cells in plan that count as one return each, however dense the cloud
+REACH_M = 4.0  # stretch of rail to either side of a return that shows its direction
+# Pieces of it that should each have a return: W-beams have 2.5 returns a metre at 24 pulses/m2.
 _BIN_M = 1.0
-"""Pieces of it that should each have a return: W-beams have 2.5 returns a metre at 24 pulses/m2."""
-_FILLED = 6
-"""Of the eight pieces, so many must, or all four on one side, where the rail ends."""
-_DIRECTIONS = 48
-"""Directions tried over half a turn."""
+_FILLED = 6  # of the eight pieces, so many must, or all four on one side, where the rail ends
+_DIRECTIONS = 48  # directions tried over half a turn
+# Returns of a rail are this near to its line: it is 0.1 m thick and curves, on a radius of 60 m by
+# 0.13 m over the reach.
 _HALF_WIDTH_M = 0.15
-"""Returns of a rail are this near to its line: it is 0.1 m thick and curves, on a radius of 60 m by
-0.13 m over the reach."""
-_BESIDE_M = (0.3, 1.0)
-"""Distances beside the line where a hedge goes on and a rail does not."""
-_MOST_BESIDE = 0.7
-"""Returns there, as a share of those on the line."""
-_MOST_ABOVE = 0.3
-"""Returns above, likewise."""
+_BESIDE_M = (0.3, 1.0)  # distances beside the line where a hedge goes on and a rail does not
+_MOST_BESIDE = 0.7  # returns there, as a share of those on the line
+_MOST_ABOVE = 0.3  # returns above, likewise
+# Cells of a square about the reach: no return has more neighbours.
 _MOST_IN_REACH = int(2 * REACH_M / _THIN_M + 3) ** 2
-"""Cells of a square about the reach: no return has more neighbours."""
+# Cells that a rail and what may be beside it have within 1 m: 20 along it, of them 7 across up to
+# 0.3 m either way, and 0.7 times the 4 on the line beside that. These are 196 of the disc's 314;
+# what fills more, as grass does from 100 returns/m2 on, is an area, and its directions are not
+# tried.
 _MOST_BY_A_RAIL = round(
     2
     * _BESIDE_M[1]
     / _THIN_M
     * (2 * _BESIDE_M[0] / _THIN_M + 1 + _MOST_BESIDE * (2 * _HALF_WIDTH_M / _THIN_M + 1))
 )
-"""Cells that a rail and what may be beside it have within 1 m: 20 along it, of them 7 across up to
-0.3 m either way, and 0.7 times the 4 on the line beside that. These are 196 of the disc's 314; what
-fills more, as grass does from 100 returns/m2 on, is an area, and its directions are not tried."""
+# Returns of one rail follow each other within this: chance leaves gaps, and so do vehicles.
 _LINK_M = 4.0
-"""Returns of one rail follow each other within this: chance leaves gaps, and so do vehicles."""
-_TURN_COS = float(np.cos(np.radians(15.0)))
-"""Their directions differ by no more than 15 degrees."""
-_ASIDE_M = 0.3
-"""A next return is no further beside the direction."""
+_TURN_COS = float(np.cos(np.radians(15.0)))  # their directions differ by no more than 15 degrees
+_ASIDE_M = 0.3  # a next return is no further beside the direction
+# Shorter lines are no rails: a parked car is 5 m long, a usual rail 7.6 m plus its ends.
 _SHORTEST_M = 8.0
-"""Shorter lines are no rails: a parked car is 5 m long, a usual rail 7.6 m plus its ends."""
-_EVERY_M = 1.0
-"""Spacing of the places of a line."""
+_EVERY_M = 1.0  # spacing of the places of a line
 
 
 @dataclass(frozen=True)
@@ -91,7 +79,8 @@ def find_rail_returns(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Ra
         over = solid & (above_ground_m > most_m) & (above_ground_m <= most_m + _ABOVE_M)
     xyz = np.asarray(xyz_m, np.float64)
     ground = np.column_stack([xyz[:, :2], xyz[:, 2] - above_ground_m])
-    points, above = _thinned(ground[low]), _thinned(ground[over])
+    # Column by column of cells from the west, each northwards.
+    points, above = (thinned(ground[rows], _THIN_M, axes=2) for rows in (low, over))
     if not len(points):
         return RailReturns(np.empty((0, 3)), np.empty((0, 2)))
     turn = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
@@ -116,16 +105,6 @@ def _over_decks(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Floats:
     return above
 
 
-def _thinned(points: Floats) -> Floats:
-    """Mean of the points in each cell, column by column of cells from the west, each northwards."""
-    if not len(points):
-        return points
-    cell = np.floor(points[:, :2] / _THIN_M).astype(np.int64)
-    _, number, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    sums = [np.bincount(number.ravel(), points[:, k]) for k in range(3)]
-    return np.asarray(np.column_stack(sums) / count[:, None], np.float64)
-
-
 def _columns(thinned: Floats) -> Ints:
     """Number of the first column of cells, and where the points of each column begin, (m + 2,)."""
     column = np.floor(thinned[:, 0] / _THIN_M).astype(np.int64)
@@ -135,31 +114,6 @@ def _columns(thinned: Floats) -> Ints:
     column = np.maximum.accumulate(column)
     bounds = np.arange(column[0], column[-1] + 2)
     return np.concatenate([column[:1], np.searchsorted(column, bounds)])
-
-
-@compiled_part()
-def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, near: Floats) -> int:
-    """Write the offsets (2, n) of the points within reach of a place, in their order; n of them."""
-    first = max(int(np.floor((x - reach_m) / _THIN_M)) - 1 - columns[0], 0)
-    last = min(int(np.floor((x + reach_m) / _THIN_M)) + 1 - columns[0], len(columns) - 3)
-    count = 0
-    for c in range(first, last + 1):
-        low, end = columns[c + 1], columns[c + 2]
-        high = end
-        while low < high:
-            middle = (low + high) // 2
-            if points[middle, 1] < y - reach_m:
-                low = middle + 1
-            else:
-                high = middle
-        for j in range(low, end):
-            if points[j, 1] > y + reach_m:
-                break
-            dx, dy = points[j, 0] - x, points[j, 1] - y
-            if dx * dx + dy * dy <= reach_m * reach_m:
-                near[0, count], near[1, count] = dx, dy
-                count += 1
-    return count
 
 
 @compiled()
@@ -188,6 +142,31 @@ def _directions(
             if score > most:
                 most, best[i] = score, k
     return best
+
+
+@compiled_part()
+def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, near: Floats) -> int:
+    """Write the offsets (2, n) of the points within reach of a place, in their order; n of them."""
+    first = max(int(np.floor((x - reach_m) / _THIN_M)) - 1 - columns[0], 0)
+    last = min(int(np.floor((x + reach_m) / _THIN_M)) + 1 - columns[0], len(columns) - 3)
+    count = 0
+    for c in range(first, last + 1):
+        low, end = columns[c + 1], columns[c + 2]
+        high = end
+        while low < high:
+            middle = (low + high) // 2
+            if points[middle, 1] < y - reach_m:
+                low = middle + 1
+            else:
+                high = middle
+        for j in range(low, end):
+            if points[j, 1] > y + reach_m:
+                break
+            dx, dy = points[j, 0] - x, points[j, 1] - y
+            if dx * dx + dy * dy <= reach_m * reach_m:
+                near[0, count], near[1, count] = dx, dy
+                count += 1
+    return count
 
 
 @compiled_part()
@@ -233,9 +212,16 @@ def join_rails(returns: RailReturns) -> list[Floats]:
     """
     if len(returns.xyz_m) < 2:
         return []
-    pairs, length = _links(returns)
+    # Pairs of returns that follow each other on a rail.
+    pairs = cKDTree(returns.xyz_m[:, :2]).query_pairs(_LINK_M, output_type="ndarray")
+    step = returns.xyz_m[pairs[:, 1], :2] - returns.xyz_m[pairs[:, 0], :2]
+    ways = [returns.direction[pairs[:, k]] for k in (0, 1)]
+    good: Bools = np.abs((ways[0] * ways[1]).sum(axis=1)) >= _TURN_COS
+    for way in ways:
+        good &= np.abs(step[:, 0] * way[:, 1] - step[:, 1] * way[:, 0]) <= _ASIDE_M
+    length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-3)[good]
     size = len(returns.xyz_m)
-    ends = pairs[:, 0], pairs[:, 1]
+    ends = pairs[good, 0], pairs[good, 1]
     graph = coo_matrix((length, ends), shape=(size, size)).tocsr()
     _, part = connected_components(graph, directed=False)
     lines = []
@@ -243,33 +229,17 @@ def join_rails(returns: RailReturns) -> list[Floats]:
         own = np.flatnonzero(part == number)
         if len(own) < _SHORTEST_M / _LINK_M:
             continue
-        line = _smoothed(returns.xyz_m[own[_longest_way(graph[own][:, own])]])
+        # The way between the two that are farthest from each other.
+        joined = graph[own][:, own]
+        first = int(np.argmax(dijkstra(joined, directed=False, indices=0)))
+        away, before = dijkstra(joined, directed=False, indices=first, return_predecessors=True)
+        nodes = [int(np.argmax(away))]
+        while nodes[-1] != first:
+            nodes.append(int(before[nodes[-1]]))
+        line = _smoothed(returns.xyz_m[own[nodes]])
         if line is not None:
             lines.append(line if line[0, 0] <= line[-1, 0] else line[::-1].copy())
     return sorted(lines, key=lambda line: (line[0, 0], line[0, 1]))
-
-
-def _links(returns: RailReturns) -> tuple[Ints, Floats]:
-    """Pairs (m, 2) of returns that follow each other on a rail, and their distances."""
-    pairs = cKDTree(returns.xyz_m[:, :2]).query_pairs(_LINK_M, output_type="ndarray")
-    step = returns.xyz_m[pairs[:, 1], :2] - returns.xyz_m[pairs[:, 0], :2]
-    ways = [returns.direction[pairs[:, k]] for k in (0, 1)]
-    good: Bools = np.abs((ways[0] * ways[1]).sum(axis=1)) >= _TURN_COS
-    for way in ways:
-        good &= np.abs(step[:, 0] * way[:, 1] - step[:, 1] * way[:, 0]) <= _ASIDE_M
-    length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-3)
-    return pairs[good].astype(np.int64), length[good]
-
-
-def _longest_way(graph: csr_matrix) -> Ints:
-    """Nodes of the way between the two that are farthest from each other."""
-    away = dijkstra(graph, directed=False, indices=0)
-    first = int(np.argmax(away))
-    away, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    way = [int(np.argmax(away))]
-    while way[-1] != first:
-        way.append(int(before[way[-1]]))
-    return np.array(way, np.int64)
 
 
 def _smoothed(places: Floats) -> Floats | None:

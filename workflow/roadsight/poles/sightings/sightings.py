@@ -16,47 +16,44 @@ from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.images.lanes import PUBLISHED_HEIGHT_PX
 from roadsight.poles.images.pole_masks import Instance, find_instances, published_instances
+from roadsight.poles.sightings.distances import (
+    HeightAt,
+    behind_plants,
+    fit_view_depth,
+    foot_distances,
+    ground_distances,
+    network_distances,
+)
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.metric_depth import DepthFit, HeightAt, fuse_depths
+from roadsight.poles.sightings.metric_depth import DepthFit, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
     OWN_COLUMN,
     SNAP_DEPTHS,
     TURNED_COLUMNS,
     ViewCamera,
-    behind_plants,
-    fit_view_depth,
-    foot_distances,
-    ground_distances,
     image_bearings,
     matching_columns,
     nearest_projected,
-    network_distances,
     turned_by_camera,
     with_place,
 )
 
+# Error of a network's distances that an image has in common, as a share of the distance.
 _MODEL_SHARE = 0.05
-"""Error of a network's distances that an image has in common, as a share of the distance."""
 
 
-NO_COLUMNS = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
-"""What the published ways know of columns."""
-_SIGMA_AXIS_PX = 2.0
-"""Error of an axis across; px of an image 1200 px high."""
-_SIGMA_FOOT_PX = 8.0
-"""Error of a foot down such an image."""
-_SIGMA_GROUND_M = 0.1
-"""Error of the camera's height above the terrain at a foot."""
-_TALLEST_PX = 1e6
-"""More than any image is tall: what is preferred at any height."""
+# What the published ways know of columns.
+_NO_COLUMNS = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
+_SIGMA_AXIS_PX = 2.0  # error of an axis across; px of an image 1200 px high
+_SIGMA_FOOT_PX = 8.0  # error of a foot down such an image
+_SIGMA_GROUND_M = 0.1  # error of the camera's height above the terrain at a foot
+_TALLEST_PX = 1e6  # more than any image is tall: what is preferred at any height
+# Share of the least height that a mask shows of a pole whose column in the cloud is taller.
+# Delineators and bushes before columns are lower. Of 60 sightings on four generated roads that are
+# lower than a pole may be and match a column, 15 are of poles.
 _SHOWN_SHARE = 0.5
-"""Share of the least height that a mask shows of a pole whose column in the cloud is taller.
-Delineators and bushes before columns are lower. Of 60 sightings on four generated roads that are
-lower than a pole may be and match a column, 15 are of poles."""
-_NEAREST_M = 2.0
-"""Nearer objects are dropped."""
-_SIGN_POST_M = 4.5
-"""A pole that touches a sign and is lower than this carries it."""
+_NEAREST_M = 2.0  # nearer objects are dropped
+_SIGN_POST_M = 4.5  # a pole that touches a sign and is lower than this carries it
 
 
 @dataclass(frozen=True)
@@ -99,9 +96,14 @@ def measure_view(
     """
     settings = settings or Sightings()
     kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
-    found = [one for kind in kinds for one in _instances(mask, kind, settings)]
+    found: list[Instance] = []
+    for kind in kinds:
+        published = settings.mask_rule == "published" and kind == "pole"
+        found += published_instances(mask) if published else find_instances(mask, kind, settings)
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
-    table = _pixels(found)
+    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px", "reason")
+    table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
+    table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
     if not found:
         return table
     if settings.distance == "published":
@@ -113,8 +115,9 @@ def measure_view(
     else:
         network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
     table["foot_visible"] = ~hidden
-    before = [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
-    prior, prior_sigma = np.array(before).T
+    prior, prior_sigma = np.array(
+        [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
+    ).T
     feet = table[["u_foot", "v_foot"]].to_numpy()
     width = table["width_px"].to_numpy()
     sigma_u = np.hypot(np.maximum(_SIGMA_AXIS_PX * scale, 0.5), 0.1 * width)
@@ -129,7 +132,7 @@ def measure_view(
     tops = np.where(panel, _rise(camera, table[["u_foot", "v_min"]]), np.nan)
     match = matching_columns(
         camera,
-        evidence.columns if settings.distance == "fused" else NO_COLUMNS,
+        evidence.columns if settings.distance == "fused" else _NO_COLUMNS,
         bearing,
         sigma,
         prior,
@@ -159,27 +162,7 @@ def measure_view(
     for name, row in (("lower_edge_rise", "v_max"), ("upper_edge_rise", "v_min")):
         edge = _rise(camera, np.column_stack([middle, table[row]]))
         table[name] = np.where(panel, edge, np.nan)
-    return _once_a_column(_judged(table, found, camera, settings), match)
-
-
-def _instances(mask: Bytes, kind: str, settings: Sightings) -> list[Instance]:
-    if settings.mask_rule == "published" and kind == "pole":
-        return published_instances(mask)
-    return find_instances(mask, kind, settings)
-
-
-def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
-    """Of things that end at one column, the tallest is the pole.
-
-    Those come first whose own distance says that they end there.
-    """
-    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
-    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
-    tall = tall.where(~own, tall + _TALLEST_PX)
-    best = tall.groupby([table["kind"], match]).transform("max")
-    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
-    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
-    return table
+    return _judged(table, found, match, camera, settings)
 
 
 def _own_distances(
@@ -215,13 +198,6 @@ def _rise(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
     """Rise per metre of plan (n,) of the rays of pixels (n, 2)."""
     rays = camera.rays(uv_px)
     return np.asarray(rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]), np.float64)
-
-
-def _pixels(found: Sequence[Instance]) -> pd.DataFrame:
-    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px", "reason")
-    table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
-    table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
-    return table
 
 
 def _stack(*pairs: NDArray) -> tuple[Floats, Floats]:
@@ -304,7 +280,11 @@ def _chosen_bearing(
 
 
 def _judged(
-    table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera, settings: Sightings
+    table: pd.DataFrame,
+    found: Sequence[Instance],
+    match: Ints,
+    camera: ViewCamera,
+    settings: Sightings,
 ) -> pd.DataFrame:
     """Rules that need the distance; the first that fails is the reason."""
     lower = table["v_foot"] - table["v_min"]
@@ -324,6 +304,14 @@ def _judged(
         lost = (table["reason"] == "") & (table["method"] != "lidar")
         table["reason"] = table["reason"].mask(lost, "no point of the cloud in view")
     table["kept"] = table["reason"] == ""
+    # Of things that end at one column, the tallest is the pole. Those come first whose own distance
+    # says that they end there.
+    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
+    tall = lower.where(table["kept"] & (match >= 0), -np.inf)
+    tall = tall.where(~own, tall + _TALLEST_PX)
+    best = tall.groupby([table["kind"], match]).transform("max")
+    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
+    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
     return table
 
 

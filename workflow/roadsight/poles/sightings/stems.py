@@ -10,7 +10,7 @@ disc; that of a wall, a hedge or a car does not. Slices above each other are a p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,65 +20,27 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
-from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis, thinned
 
-_LAYER_M = 0.3
-"""Height of a slice: lower ones have too few returns, higher ones blur leaning stems."""
-
-_CELL_M = 0.1
-"""Cells of a slice in plan."""
-
+_LAYER_M = 0.3  # height of a slice: lower ones have too few returns, higher ones blur leaning stems
+_CELL_M = 0.1  # cells of a slice in plan
+# Heights above the ground between which stems are looked for: above grass, and not where a scanner
+# on a vehicle, which looks hardly upwards, sees little.
 _HEIGHTS_M = (0.6, 6.0)
-"""Heights above the ground between which stems are looked for: above grass, and not where a scanner
-on a vehicle, which looks hardly upwards, sees little."""
-
-_CORE_CELLS = 2
-"""Radius of the disc that holds a stem."""
-
+_CORE_CELLS = 2  # radius of the disc that holds a stem
+# Distance of the discs around it, and the range in which its disc must be the fullest.
 _WIDE_CELLS = 6
-"""Distance of the discs around it, and the range in which its disc must be the fullest."""
-
-_DIRECTIONS = 8
-"""Discs around it."""
-
-_DENSE = 0.25
-"""A disc around it is dense from this share of its own returns on."""
-
-_MOST_DENSE = 2
-"""Dense discs that a stem may have around it."""
-
-_WALL = 0.7
-"""From this share of its own returns on, a single disc around it makes it a wall's."""
-
-_FEWEST_IN_SLICE = 8
-"""Returns in a slice's disc."""
-
-_SLICES = 4
-"""Slices of a stem."""
-
-_SHIFT_M = 0.15
-"""How far aside the disc of the next slice, and any disc from their middle, may be."""
-
-_BENT_M = 0.06
-"""Root mean square by which discs may be off a straight axis."""
-
-_STEEPEST = 0.15
-"""Lean of a stem at most, metres aside per metre up."""
-
-_NEAR_M = 0.6
-"""Returns within this of the middle give the axis."""
-
-_SAME_M = 0.8
-"""A stem this near to a column is the same."""
-
-
-@dataclass(frozen=True)
-class _Discs:
-    """Discs of stems: slice (n,), place (n, 2) and returns (n,)."""
-
-    layer: Ints
-    xy_m: Floats
-    count: Floats
+_DIRECTIONS = 8  # discs around it
+_DENSE = 0.25  # a disc around it is dense from this share of its own returns on
+_MOST_DENSE = 2  # dense discs that a stem may have around it
+_WALL = 0.7  # from this share of its own returns on, a single disc around it makes it a wall's
+_FEWEST_IN_SLICE = 8  # returns in a slice's disc
+_SLICES = 4  # slices of a stem
+_SHIFT_M = 0.15  # how far aside the disc of the next slice, and any disc from their middle, may be
+_BENT_M = 0.06  # root mean square by which discs may be off a straight axis
+_STEEPEST = 0.15  # lean of a stem at most, metres aside per metre up
+_NEAR_M = 0.6  # returns within this of the middle give the axis
+_SAME_M = 0.8  # a stem this near to a column is the same
 
 
 def find_stems(
@@ -105,17 +67,50 @@ def find_stems(
     if not len(points):
         return _columns([])
     layer = np.floor(height / _LAYER_M).astype(np.int64)
-    return _placed(_discs(points[:, :2], layer), points, height)
+    layers, places = _discs(points[:, :2], layer)
+    if not len(layers):
+        return _columns([])
+    # Chains of discs above each other: a step is one slice or two, and the less aside the more
+    # slices it takes.
+    near = cKDTree(np.column_stack([places / _SHIFT_M, 0.45 * layers]))
+    ends = near.query_pairs(1.0, output_type="ndarray").T
+    graph = coo_matrix((np.ones(ends.shape[1], bool), ends), shape=(len(layers), len(layers)))
+    chain = connected_components(graph, directed=False)[1]
+    plan = cKDTree(points[:, :2])
+    found = []
+    for number in np.flatnonzero(np.bincount(chain) >= _SLICES):
+        own = np.flatnonzero(chain == number)
+        # What follows above or below may lead away from the stem.
+        own = own[np.hypot(*(places[own] - np.median(places[own], axis=0)).T) <= _SHIFT_M]
+        if len(np.unique(layers[own])) < _SLICES:
+            continue
+        # A stem is straight and upright.
+        rise = (layers[own] - layers[own].mean()) * _LAYER_M
+        middle = places[own].mean(axis=0)
+        slope = rise @ (places[own] - middle) / (rise @ rise)
+        off = places[own] - middle - rise[:, None] * slope
+        if np.hypot(*slope) > _STEEPEST or np.sqrt((off**2).sum(axis=1).mean()) > _BENT_M:
+            continue
+        low, high = layers[own].min() * _LAYER_M, (layers[own].max() + 1) * _LAYER_M
+        rows = np.sort(np.array(plan.query_ball_point(middle, _NEAR_M), np.int64))
+        rows = rows[(height[rows] >= low) & (height[rows] < high)]
+        xy, sigma, agree = stem_axis(points[rows, :2])
+        # A place is no better than half of what its returns are smeared over.
+        smear = np.sqrt(((points[rows, :2] - xy) ** 2).sum(axis=1).mean() / 2)
+        ground = float(np.median(points[rows, 2] - height[rows]))
+        sigma = max(sigma, 0.5 * float(smear))
+        found.append((*xy, float(height[rows].max()), sigma, ground, agree))
+    return _columns(found)
 
 
-def _discs(xy: Floats, layer: Ints) -> _Discs:
-    """Places of each slice in which a disc holds most of what is around it."""
+def _discs(xy: Floats, layer: Ints) -> tuple[Ints, Floats]:
+    """Slices (n,) and places (n, 2) of discs that hold most of what is around them."""
     west_south = np.floor(xy.min(axis=0) / _CELL_M).astype(np.int64)
     cell = np.floor(xy / _CELL_M).astype(np.int64) - west_south
     columns, rows = (int(n) + 1 for n in cell.max(axis=0))
     flat = cell[:, 1] * columns + cell[:, 0]
     core, wide = _disc(_CORE_CELLS), _disc(_WIDE_CELLS).astype(np.uint8)
-    layers, places, counts = [], [], []
+    layers, places = [], []
     for number in np.unique(layer):
         own = flat[layer == number]
         count = np.bincount(own, minlength=rows * columns).reshape(rows, columns)
@@ -129,8 +124,7 @@ def _discs(xy: Floats, layer: Ints) -> _Discs:
         offset = [_summed(image, core * reach)[row, column] for reach in _reaches(_CORE_CELLS)]
         middle = np.column_stack(offset) / inner[row, column, None]
         places.append((np.column_stack([column, row]) + west_south + 0.5 + middle) * _CELL_M)
-        counts.append(inner[row, column])
-    return _Discs(np.concatenate(layers), np.concatenate(places), np.concatenate(counts))
+    return np.concatenate(layers), np.concatenate(places)
 
 
 def _dense_around(image: Floats32, inner: Floats32, row: Ints, column: Ints) -> Ints:
@@ -152,8 +146,9 @@ def _dense_around(image: Floats32, inner: Floats32, row: Ints, column: Ints) -> 
     return dense
 
 
-def _summed(image: Floats32, window: Floats32) -> Floats32:
-    return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
+def _disc(cells: int) -> Floats32:
+    x, y = _reaches(cells)
+    return (x * x + y * y <= cells * cells).astype(np.float32)
 
 
 def _reaches(cells: int) -> tuple[Floats32, Floats32]:
@@ -162,61 +157,8 @@ def _reaches(cells: int) -> tuple[Floats32, Floats32]:
     return x, y
 
 
-def _disc(cells: int) -> Floats32:
-    x, y = _reaches(cells)
-    return (x * x + y * y <= cells * cells).astype(np.float32)
-
-
-def _groups(pairs: Ints, size: int) -> Ints:
-    """Number of the connected part of each node."""
-    ones = np.ones(len(pairs), bool)
-    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
-def _placed(discs: _Discs, points: Floats, height: Floats) -> PoleColumns:
-    """Chains of discs above each other, each on the axis of its returns."""
-    if not len(discs.layer):
-        return _columns([])
-    # A step of one slice or two, and the less aside the more slices it takes.
-    tree = cKDTree(np.column_stack([discs.xy_m / _SHIFT_M, 0.45 * discs.layer]))
-    chain = _groups(tree.query_pairs(1.0, output_type="ndarray"), len(discs.layer))
-    plan = cKDTree(points[:, :2])
-    found = []
-    for number in np.flatnonzero(np.bincount(chain) >= _SLICES):
-        own = np.flatnonzero(chain == number)
-        # What follows above or below may lead away from the stem.
-        aside = discs.xy_m[own] - np.median(discs.xy_m[own], axis=0)
-        own = own[np.hypot(aside[:, 0], aside[:, 1]) <= _SHIFT_M]
-        middle = _middle(discs.xy_m[own], discs.layer[own])
-        if middle is None:
-            continue
-        low, high = discs.layer[own].min() * _LAYER_M, (discs.layer[own].max() + 1) * _LAYER_M
-        near = np.sort(np.array(plan.query_ball_point(middle, _NEAR_M), np.int64))
-        near = near[(height[near] >= low) & (height[near] < high)]
-        found.append(_stem(points[near], height[near]))
-    return _columns(found)
-
-
-def _stem(points: Floats, height: Floats) -> tuple[float, ...]:
-    """Row of a column; a place is no better than half of what its returns are smeared over."""
-    xy, sigma, agree = stem_axis(points[:, :2])
-    smear = np.sqrt(((points[:, :2] - xy) ** 2).sum(axis=1).mean() / 2)
-    ground = float(np.median(points[:, 2] - height))
-    return (*xy, float(height.max()), max(sigma, 0.5 * float(smear)), ground, agree)
-
-
-def _middle(xy: Floats, layer: Ints) -> Floats | None:
-    """Middle (2,) of a chain that is straight, upright and tall enough, else None."""
-    if len(np.unique(layer)) < _SLICES:
-        return None
-    height = (layer - layer.mean()) * _LAYER_M
-    middle = np.asarray(xy.mean(axis=0), np.float64)
-    slope = height @ (xy - middle) / (height @ height)
-    off = xy - middle - height[:, None] * slope
-    if np.hypot(*slope) > _STEEPEST or np.sqrt((off**2).sum(axis=1).mean()) > _BENT_M:
-        return None
-    return middle
+def _summed(image: Floats32, window: Floats32) -> Floats32:
+    return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _columns(rows: list[tuple[float, ...]]) -> PoleColumns:
@@ -230,86 +172,45 @@ def with_stems(columns: PoleColumns, stems: PoleColumns) -> PoleColumns:
     if not len(columns) or not len(stems):
         return stems if not len(columns) else columns
     gap, _ = cKDTree(columns.xy_m).query(stems.xy_m)
-    new = gap > _SAME_M
-    return PoleColumns(
-        *(
-            np.concatenate([getattr(columns, f.name), getattr(stems, f.name)[new]])
-            for f in fields(columns)
-        )
-    )
+    both = zip(vars(columns).values(), vars(stems).values(), strict=True)
+    return PoleColumns(*(np.concatenate([ours, more[gap > _SAME_M]]) for ours, more in both))
 
 
 # How pole-like columns lean, and the arms near their tops, from their returns.
 
-_LOWEST_M = 1.0
-"""Returns below this may be of grass, shrubs and fences."""
-
+_LOWEST_M = 1.0  # returns below this may be of grass, shrubs and fences
+# Below the top by this much begin arms, lamps, wires, and transformers that hang on the stem.
 _HEAD_M = 1.7
-"""Below the top by this much begin arms, lamps, wires, and transformers that hang on the stem."""
-
-_NEAR_M_STEM_SHAPES = 0.6
-"""Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
-from end to end."""
-
+# Returns this near to the axis may be the stem's: one of 8 m that leans by 8 degrees is within it
+# from end to end.
+_BESIDE_AXIS_M = 0.6
+# Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart.
 _FEWEST = 8
-"""Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart."""
-
-_LEAST_SPAN_M = 2.0
-"""Height between its lowest and highest return, the same."""
-
-_THIN_M = 0.1
-"""Cells of which each counts as one return."""
-
-_STARTS = 60
-"""Returns between which lines are tried, spread over all heights."""
-
-_PAIRS = 400
-"""Pairs of them that are tried, spread over all."""
-
+_LEAST_SPAN_M = 2.0  # height between its lowest and highest return, the same
+_THIN_M = 0.1  # cells of which each counts as one return
+_STARTS = 60  # returns between which lines are tried, spread over all heights
+_PAIRS = 400  # pairs of them that are tried, spread over all
+# Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of 3
+# cm. Wires that meet it and transformers lie farther off for the most part.
 _OWN_M = 0.22
-"""Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of
-3 cm. Wires that meet it and transformers lie farther off for the most part."""
-
-_ROUNDS = 5
-"""Rounds of fitting, after which the same returns are a stem's."""
-
+_ROUNDS = 5  # rounds of fitting, after which the same returns are a stem's
+# Noise of a return about the axis before any is seen, each coordinate: a radius of 13 cm.
 _SURFACE_M = 0.09
-"""Noise of a return about the axis before any is seen, each coordinate: a radius of 13 cm."""
-
+# Returns that this counts for: few returns of one side lie on a line that is not the axis.
 _SURFACE_WORTH = 4.0
-"""Returns that this counts for: few returns of one side lie on a line that is not the axis."""
-
-_ARM_HEIGHT_M = 1.2
-"""Arms begin this near to the top."""
-
-_ARM_BEGINS_M = 0.3
-"""Returns nearer to the axis are of the stem and what hangs on it."""
-
-_ARM_ENDS_M = 2.5
-"""Arms are not longer: brackets of lamps reach 2.5 m, crossarms 1.5 m."""
-
-_ARM_WIDE_M = 0.15
-"""Half the width of an arm, with the noise of its returns."""
-
+_ARM_HEIGHT_M = 1.2  # arms begin this near to the top
+_ARM_BEGINS_M = 0.3  # returns nearer to the axis are of the stem and what hangs on it
+_ARM_ENDS_M = 2.5  # arms are not longer: brackets of lamps reach 2.5 m, crossarms 1.5 m
+_ARM_WIDE_M = 0.15  # half the width of an arm, with the noise of its returns
+# An arm has no greater gap: 4 returns a metre leave one this long once in 25 arms of 1 m.
 _ARM_GAP_M = 0.8
-"""An arm has no greater gap: 4 returns a metre leave one this long once in 25 arms of 1 m."""
-
-_WIRE_M = (2.6, 6.0)
-"""What goes on between these distances is a wire."""
-
+_WIRE_M = (2.6, 6.0)  # what goes on between these distances is a wire
+# Half the width in which a wire is looked for: it sags and need not pass over the axis.
 _WIRE_WIDE_M = 0.3
-"""Half the width in which a wire is looked for: it sags and need not pass over the axis."""
-
-_BESIDE_WIRE_DEG = 20.0
-"""Returns this near to a wire's direction may be its own."""
-
-_FEWEST_OF_ARM = 3
-"""Returns that make an arm, or a wire."""
-
-_STEP_DEG = 3.0
-"""Step of the directions in which arms are looked for."""
-
-_DIRECTIONS_STEM_SHAPES = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
+_BESIDE_WIRE_DEG = 20.0  # returns this near to a wire's direction may be its own
+_FEWEST_OF_ARM = 3  # returns that make an arm, or a wire
+_STEP_DEG = 3.0  # step of the directions in which arms are looked for
+_TURNS_RAD = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
 
 
 @dataclass(frozen=True)
@@ -346,8 +247,15 @@ def stem_shapes(
     class (n,). excluded_classes : those that no return of a pole has.
     """
     found = np.full((len(columns), 5), np.nan)
-    used = ~np.isin(cls, excluded_classes)
-    points = _around(columns.xy_m, xyz_m[used], above_ground_m[used])
+    if not len(columns):
+        return StemShapes(*found.T)
+    with np.errstate(invalid="ignore"):
+        used = ~np.isin(cls, excluded_classes) & (above_ground_m > _LOWEST_M)
+    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
+    # Those that may be of stems, arms and wires; one for each small cell, so that a dense cloud
+    # takes no longer and counts no more.
+    away, _ = cKDTree(columns.xy_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
+    points = thinned(points[np.isfinite(away)], _THIN_M)
     if len(points):
         tree = cKDTree(points[:, :2])
         for row, (axis, top_m) in enumerate(zip(columns.xy_m, columns.top_m, strict=True)):
@@ -362,29 +270,10 @@ def stem_shapes(
     return StemShapes(*np.ascontiguousarray(found.T))
 
 
-def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
-    """Returns (n, 3) that may be of stems, arms and wires, with heights above the ground.
-
-    One for each small cell, their mean, so that a dense cloud takes no longer and counts no more.
-    """
-    if not len(axes_m):
-        return np.empty((0, 3))
-    with np.errstate(invalid="ignore"):
-        used = above_ground_m > _LOWEST_M
-    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
-    away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
-    points = points[np.isfinite(away)]
-    cell = np.floor(points / _THIN_M).astype(np.int64)
-    _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    own = own.ravel()
-    means = [np.bincount(own, axis, len(count)) / count for axis in points.T]
-    return np.column_stack(means)
-
-
 def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
     """Slope (2,) of a stem, metres aside per metre up, its sigma, and its place at height 0."""
     unknown = np.full(2, np.nan)
-    stem = (np.hypot(*points[:, :2].T) <= _NEAR_M_STEM_SHAPES) & (points[:, 2] <= top_m - _HEAD_M)
+    stem = (np.hypot(*points[:, :2].T) <= _BESIDE_AXIS_M) & (points[:, 2] <= top_m - _HEAD_M)
     xy, height = points[stem, :2], points[stem, 2]
     if len(height) < _FEWEST or np.ptp(height) < _LEAST_SPAN_M:
         return unknown, float("nan"), unknown
@@ -400,16 +289,6 @@ def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
     noise = np.sqrt(squares / (2 * own.sum() - 4 + 2 * _SURFACE_WORTH))
     spread = np.sqrt(((height[own] - height[own].mean()) ** 2).sum())
     return line[1], float(np.hypot(noise / spread, _without_one(design[own], xy[own]))), line[0]
-
-
-def _without_one(design: Floats, xy: Floats) -> float:
-    """Sigma of a slope by the jackknife: how much hangs on single returns (Efron 1982)."""
-    square = np.linalg.inv(design.T @ design)
-    gain = design @ square
-    residual = xy - gain @ (design.T @ xy)
-    shift = gain[:, 1:] * residual / (1.0 - (gain * design).sum(axis=1))[:, None]
-    n = len(xy)
-    return float(np.sqrt((n - 1) / n * ((shift - shift.mean(axis=0)) ** 2).sum() / 2))
 
 
 def _start(xy: Floats, height: Floats) -> Floats:
@@ -429,30 +308,37 @@ def _start(xy: Floats, height: Floats) -> Floats:
     return np.stack([start[best], slope[best]])
 
 
+def _without_one(design: Floats, xy: Floats) -> float:
+    """Sigma of a slope by the jackknife: how much hangs on single returns (Efron 1982)."""
+    square = np.linalg.inv(design.T @ design)
+    gain = design @ square
+    residual = xy - gain @ (design.T @ xy)
+    shift = gain[:, 1:] * residual / (1.0 - (gain * design).sum(axis=1))[:, None]
+    n = len(xy)
+    return float(np.sqrt((n - 1) / n * ((shift - shift.mean(axis=0)) ** 2).sum() / 2))
+
+
 def _arm(points: Floats, top_m: float) -> tuple[float, float]:
     """Reach of the longest arm, NaN where none is seen, and its sides."""
     xy = points[points[:, 2] >= top_m - _ARM_HEIGHT_M, :2]
-    way = np.stack([np.sin(_DIRECTIONS_STEM_SHAPES), np.cos(_DIRECTIONS_STEM_SHAPES)])
+    way = np.stack([np.sin(_TURNS_RAD), np.cos(_TURNS_RAD)])
     along, across = xy @ way, np.abs(xy @ np.stack([way[1], -way[0]]))
     far = (along >= _WIRE_M[0]) & (along <= _WIRE_M[1]) & (across <= _WIRE_WIDE_M)
     beside = int(_BESIDE_WIRE_DEG / _STEP_DEG)
     wire = far.sum(axis=0) >= _FEWEST_OF_ARM
     wire = np.any([np.roll(wire, turn) for turn in range(-beside, beside + 1)], axis=0)
     inside = (along >= _ARM_BEGINS_M) & (along <= _ARM_ENDS_M) & (across <= _ARM_WIDE_M)
-    found = [_half(along[own, number]) for number, own in enumerate(inside.T)]
+    found = []  # number of returns of an arm before its first gap, and how far they go
+    for number, own in enumerate(inside.T):
+        arm = np.sort(along[own, number])
+        gaps = np.flatnonzero(np.diff(arm, prepend=0.0) > _ARM_GAP_M)
+        arm = arm[: gaps[0]] if len(gaps) else arm
+        found.append((len(arm), float(arm[-1]) if len(arm) else 0.0))
     count, reach = np.where(wire, 0.0, np.transpose(found))
-    half = len(_DIRECTIONS_STEM_SHAPES) // 2
+    half = len(_TURNS_RAD) // 2
     both = count + np.roll(count, half)
     best = int(np.argmax(np.where(count >= np.roll(count, half), both, 0.0)))
     if count[best] < _FEWEST_OF_ARM:
         return float("nan"), 0.0
-    other = (best + half) % len(_DIRECTIONS_STEM_SHAPES)
+    other = (best + half) % len(_TURNS_RAD)
     return float(max(reach[best], reach[other])), 2.0 if count[other] >= 2 else 1.0
-
-
-def _half(along_m: Floats) -> tuple[int, float]:
-    """Number of returns of an arm before its first gap, and how far they go."""
-    own = np.sort(along_m)
-    gaps = np.flatnonzero(np.diff(own, prepend=0.0) > _ARM_GAP_M)
-    own = own[: gaps[0]] if len(gaps) else own
-    return len(own), float(own[-1]) if len(own) else 0.0

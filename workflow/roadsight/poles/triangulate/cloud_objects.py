@@ -9,18 +9,15 @@ from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.sightings.confirm import UNSEEN
 
+# Buildings farther from a track are not beside its road: the widest clear zones, of fast roads on
+# the outside of bends, end 21 m from the travelled way.
 BESIDE_M = 40.0
-"""Buildings farther from a track are not beside its road: the widest clear zones, of fast roads on
-the outside of bends, end 21 m from the travelled way."""
-_TOLD = ["score", "images", "routes", "kept", "reason"]
-"""What images say of an object."""
-
+_TOLD = ["score", "images", "routes", "kept", "reason"]  # what images say of an object
+# What the cloud shows under a crown, see `find_trunks`; empty for other objects.
 TRUNK_COLUMNS = ("trunk_x", "trunk_y", "trunk_sigma_m", "cloud_shows")
-"""What the cloud shows under a crown, see `find_trunks`; empty for other objects."""
+# An outline with a place each metre that a track crosses comes so near to it; no house does.
 _OVER_M = 1.0
-"""An outline with a place each metre that a track crosses comes so near to it; no house does."""
-OVER_ROAD = "over the road: a bridge, no building"
-"""Reason of what is withheld so."""
+OVER_ROAD = "over the road: a bridge, no building"  # reason of what is withheld so
 
 
 def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:

@@ -29,26 +29,19 @@ from roadsight.poles.triangulate.association import (
 from roadsight.poles.triangulate.noise import Noise, fit_noise, place_groups, stated_noise
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
+# Turns of association and of finding errors and depth scale; most drives rest after four.
 _ROUNDS = 7
-"""Turns of association and of finding errors and depth scale; most drives rest after four."""
-
+# Turns with the stated errors, in which the depth scale comes to rest: errors that are found at a
+# wrong scale are too wide.
 _AS_STATED = 2
-"""Turns with the stated errors, in which the depth scale comes to rest: errors that are found at a
-wrong scale are too wide."""
-
+# Fits of the errors that may narrow them. With one, errors that are stated 4 times too wide stay
+# too wide; with no end, they shrink to half of what they are on 173 ambiguous sightings.
 _NARROWING = 2
-"""Fits of the errors that may narrow them. With one, errors that are stated 4 times too wide stay
-too wide; with no end, they shrink to half of what they are on 173 ambiguous sightings."""
-
-_FEWEST_DEPTHS = 30
-"""Depths that the factor needs, as the median of their ratios."""
-
-_SCALES = (0.5, 2.0)
-"""Bounds of the factor: beyond, groups rather than depths are wrong."""
-
+_FEWEST_DEPTHS = 30  # depths that the factor needs, as the median of their ratios
+_SCALES = (0.5, 2.0)  # bounds of the factor: beyond, groups rather than depths are wrong
+# Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
+# that bearings alone do not tell the distance.
 _WELL_CROSSED = 0.1
-"""Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
-that bearings alone do not tell the distance."""
 
 
 @dataclass(frozen=True)
@@ -148,11 +141,9 @@ def depth_ratios(rays: Rays, members: Ints) -> Floats:
 
 # The set of poles that explains the rays best: greedy first, then improved by exchange.
 
-_ROUNDS_EXCHANGE = 6
-"""Rounds of exchange between poles at most; most streets rest after three."""
-
+_EXCHANGES = 6  # rounds of exchange between poles at most; most streets rest after three
+# Two sets of poles whose evidence differs by less are equal: sums round more than terms.
 _BETTER = 1e-6
-"""Two sets of poles whose evidence differs by less are equal: sums round more than terms."""
 
 
 def associate(grower: Grower) -> list[Pole]:
@@ -166,7 +157,7 @@ def associate(grower: Grower) -> list[Pole]:
     free = np.ones(len(grower.rays), bool)
     seeds = grower.seeds()
     poles, others = take_best(grower, seeds, free)
-    for _ in range(_ROUNDS_EXCHANGE):
+    for _ in range(_EXCHANGES):
         before = [pole.key for pole in poles]
         poles = _insert(grower, _merge(grower, _exchange(grower, poles)), others)
         free[:] = True
@@ -184,9 +175,10 @@ def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
     if not poles:
         return poles
     rays = grower.rays
-    tree = cKDTree([[pole.x, pole.y] for pole in poles])
+    tree = cKDTree(_places(poles))
     members: list[list[int]] = [[] for _ in poles]
-    for own in _by_image(rays):
+    by_image = np.argsort(rays.image, kind="stable")
+    for own in np.split(by_image, np.flatnonzero(np.diff(rays.image[by_image])) + 1):
         around = sorted(tree.query_ball_point(rays.camera_m[own[0]], grower.model.reach_m))
         if not around:
             continue
@@ -205,12 +197,6 @@ def _exchange(grower: Grower, poles: list[Pole]) -> list[Pole]:
     return in_order(kept)
 
 
-def _by_image(rays: Rays) -> list[Ints]:
-    """Ray numbers of each image."""
-    order = np.argsort(rays.image, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(rays.image[order])) + 1)
-
-
 def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
     """Poles after joining those that explain their rays better as one, nearest first."""
     current, fresh = dict(enumerate(poles)), len(poles)
@@ -219,7 +205,13 @@ def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
     joined = True
     while joined and len(current) > 1:
         joined, used = False, set()
-        for a, b in _near_pairs(current, grower.model.reach_m / 2):
+        numbers = np.array(sorted(current))
+        places = _places([current[n] for n in numbers.tolist()])
+        near = cKDTree(places).query_pairs(grower.model.reach_m / 2, output_type="ndarray")
+        apart = np.hypot(*(places[near[:, 0]] - places[near[:, 1]]).T)
+        first, second = numbers[near.min(axis=1)], numbers[near.max(axis=1)]
+        order = np.lexsort([second, first, np.round(apart, 9)])
+        for a, b in zip(first[order].tolist(), second[order].tolist(), strict=True):
             if (a, b) in tried or a in used or b in used:
                 continue
             tried.add((a, b))
@@ -232,24 +224,8 @@ def _merge(grower: Grower, poles: list[Pole]) -> list[Pole]:
     return in_order(current.values())
 
 
-def _near_pairs(poles: dict[int, Pole], reach_m: float) -> list[tuple[int, int]]:
-    """Pairs of poles within a distance, nearest first."""
-    numbers = np.array(sorted(poles))
-    places = np.array([(poles[n].x, poles[n].y) for n in numbers.tolist()])
-    pairs = cKDTree(places).query_pairs(reach_m, output_type="ndarray")
-    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
-    first, second = numbers[pairs.min(axis=1)], numbers[pairs.max(axis=1)]
-    order = np.lexsort([second, first, np.round(apart, 9)])
-    return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
-
-
 def _as_one(grower: Grower, first: Pole, second: Pole, free: Bools) -> Pole | None:
-    """One pole of the rays of two, from the places of both and between.
-
-    Parameters
-    ----------
-    free : no ray is; the same when it returns.
-    """
+    """One pole of the rays of two, from the places of both and between; no ray stays free."""
     free[first.members] = free[second.members] = True
     best = None
     middle = (0.5 * (first.x + second.x), 0.5 * (first.y + second.y))
@@ -296,9 +272,7 @@ def _insert(grower: Grower, poles: list[Pole], others: list[Pole]) -> list[Pole]
 def _with_forced(grower: Grower, other: Pole, rivals: list[Pole], free: Bools) -> list[Pole]:
     """A pole that is forced in, and what its rivals become without its rays, best rival first.
 
-    Parameters
-    ----------
-    free : rays of no pole; when it returns, rays of none of the poles that come back.
+    ``free`` tells which rays are of no pole; when it returns, of none of the poles that come back.
     """
     for rival in rivals:
         free[rival.members] = True
@@ -314,46 +288,31 @@ def _with_forced(grower: Grower, other: Pole, rivals: list[Pole], free: Bools) -
 
 # What sightings of poles and strays look like on a drive, as far as the drive itself tells.
 
+# Share of strays before any pole is known: detectors of street objects show 5 to 30 %.
 _STRAYS_FIRST = 0.2
-"""Share of strays before any pole is known: detectors of street objects show 5 to 30 %."""
-
+# Share of strays beyond those that no pole took: some have been taken for views.
 _STRAYS_LEAST = 0.05
-"""Share of strays beyond those that no pole took: some have been taken for views."""
-
+# Share of strays at most: rays that no pole took are also views of poles that nobody else saw.
 _STRAYS_MOST = 0.3
-"""Share of strays at most: rays that no pole took are also views of poles that nobody else saw."""
-
+# Share of near images that show a pole, before any is known: a camera that looks ahead sees a pole
+# from half of them, and misses some.
 _SEEN_FIRST = 0.4
-"""Share of near images that show a pole, before any is known: a camera that looks ahead sees a pole
-from half of them, and misses some."""
-
+# The same at most, once poles are known: with 0.5 one pole is taken for two more often (13 % too
+# many on the worst simulated street instead of 7 %).
 _SEEN_MOST = 0.7
-"""The same at most, once poles are known: with 0.5 one pole is taken for two more often (13 % too
-many on the worst simulated street instead of 7 %)."""
-
+# The same at least: below, poles that hide most of the time would be made of anything.
 _SEEN_LEAST = 0.15
-"""The same at least: below, poles that hide most of the time would be made of anything."""
-
-_SEEN_WORTH = 4.0
-"""Images that the share before any pole is known counts for."""
-
-_SEEN_BOUNDS = (0.01, 0.9)
-"""Shares of any one bin: no image proves or excludes a pole by itself."""
-
-_LONE = 0.5
-"""Poles that a ray counts for which no pole took: it is a stray or a pole seen once."""
-
+_SEEN_WORTH = 4.0  # images that the share before any pole is known counts for
+_SEEN_BOUNDS = (0.01, 0.9)  # shares of any one bin: no image proves or excludes a pole by itself
+_LONE = 0.5  # poles that a ray counts for which no pole took: it is a stray or a pole seen once
+# Rays of a pole before any is known: three or four images show one on a drive of 8 m steps.
 _RAYS_A_POLE = 4.0
-"""Rays of a pole before any is known: three or four images show one on a drive of 8 m steps."""
-
+# Least standard deviation of the logarithm of strays' depths: few depths show too little of it.
 _LEAST_SPREAD = 0.3
-"""Least standard deviation of the logarithm of strays' depths: few depths show too little of it."""
-
+# Gate of a member over that of `listing`: evidence judges members itself, the gate saves time.
 _GATE = 1.5
-"""Gate of a member over that of `listing`: evidence judges members itself, the gate saves time."""
-
+# Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing.
 _SIGMAS = (1e-3, 1.0)
-"""Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing."""
 
 
 def likelihood(
@@ -370,12 +329,27 @@ def likelihood(
     free = ~rays.anchored
     angle = np.where(free, noise.bearing_rad, np.radians(settings.sigma_bearing_deg))
     angle = np.where(np.isnan(rays.sigma_bearing_deg), angle, np.radians(rays.sigma_bearing_deg))
-    stated = np.hypot(_ratio(rays), np.where(free, noise.hidden_ratio, 0.0))
+    stated = np.nan_to_num(rays.sigma_depth_m / rays.depth_m, nan=1.0)
+    stated = np.hypot(stated, np.where(free, noise.hidden_ratio, 0.0))
     ratio = np.where(np.isnan(rays.sigma_depth_m), noise.depth_ratio, stated)
-    middle, spread = _depths(log_depth[~unknown], settings.max_distance_m)
+    # Logarithms of depths; guesses where none is known.
+    middle, spread = float(np.log(settings.max_distance_m / 2)), 0.5
+    if not unknown.all():
+        middle = float(np.median(log_depth[~unknown]))
+        spread = max(float(np.std(log_depth[~unknown])), _LEAST_SPREAD)
     used = sum(len(pole.members) for pole in poles)
     count = len(poles) + _LONE * (len(rays) - used) if poles else len(rays) / _RAYS_A_POLE
-    density = max(count, 1.0) / _ground_m2(rays, float(np.exp(middle + spread)))
+    # Ground that the images see: a disc each, parted among the images inside it.
+    _, first = np.unique(rays.image, return_index=True)
+    places, radius_m = rays.camera_m[first], float(np.exp(middle + spread))
+    inside = cKDTree(places).query_ball_point(places, radius_m, return_length=True)
+    density = max(count, 1.0) / float((np.pi * radius_m**2 / inside).sum())
+    # Strays: at any bearing, with depths like those of all rays.
+    n = len(rays)
+    strays = min(max(n - used, 0) + _STRAYS_LEAST * n, _STRAYS_MOST * n)
+    rate = (strays if used else _STRAYS_FIRST * n) / len(first)
+    by_depth = -0.5 * ((log_depth - middle) / spread) ** 2 - np.log(spread * np.sqrt(2 * np.pi))
+    stray = np.log(rate / (2 * np.pi)) + np.where(unknown, 0.0, by_depth)
     seen = shares_seen(rays, poles, near, settings.max_distance_m)
     missed = np.log1p(-seen)
     return Likelihood(
@@ -386,7 +360,7 @@ def likelihood(
         np.clip(ratio, *_SIGMAS),
         np.where(free, noise.position_m, 0.0),
         log_depth,
-        _stray_density(rays, used, unknown, (log_depth - middle) / spread, spread),
+        stray,
         missed,
         np.log(seen) - missed,
         float(np.log(density) - settings.pole_evidence),
@@ -394,37 +368,6 @@ def likelihood(
         settings.max_distance_m,
         settings.min_baseline_m,
     )
-
-
-def _ratio(rays: Rays) -> Floats:
-    """Sigma of the logarithm of a depth; 1 where unknown."""
-    return np.nan_to_num(rays.sigma_depth_m / rays.depth_m, nan=1.0)
-
-
-def _depths(log_depth: Floats, reach_m: float) -> tuple[float, float]:
-    """Middle and spread of the logarithms of known depths; guesses where there are none."""
-    if not len(log_depth):
-        return float(np.log(reach_m / 2)), 0.5
-    return float(np.median(log_depth)), max(float(np.std(log_depth)), _LEAST_SPREAD)
-
-
-def _stray_density(rays: Rays, used: int, unknown: Bools, away: Floats, spread: float) -> Floats:
-    """Log density of each ray as a stray: any bearing, a depth like that of all rays."""
-    n = len(rays)
-    strays = min(max(n - used, 0) + _STRAYS_LEAST * n, _STRAYS_MOST * n)
-    if used == 0:
-        strays = _STRAYS_FIRST * n
-    rate = strays / len(np.unique(rays.image))
-    depth = -0.5 * away**2 - np.log(spread * np.sqrt(2 * np.pi))
-    return np.log(rate / (2 * np.pi)) + np.where(unknown, 0.0, depth)
-
-
-def _ground_m2(rays: Rays, radius_m: float) -> float:
-    """Ground that the images see: a disc each, parted among the images inside it."""
-    _, first = np.unique(rays.image, return_index=True)
-    tree = cKDTree(rays.camera_m[first])
-    inside = tree.query_ball_point(rays.camera_m[first], radius_m, return_length=True)
-    return float((np.pi * radius_m**2 / inside).sum())
 
 
 def shares_seen(rays: Rays, poles: list[Pole], near: Neighbours, reach_m: float) -> Floats:

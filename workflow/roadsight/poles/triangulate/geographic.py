@@ -20,9 +20,7 @@ from roadsight.poles.triangulate.rays import (
 )
 
 COLUMNS = ["lat", "lon", "score", "sigma_m"]
-
-_DECIMALS = 9
-"""Of latitude and longitude in degrees: a tenth of a millimetre."""
+_DECIMALS = 9  # of latitude and longitude in degrees: a tenth of a millimetre
 
 
 def triangulate_geographic(
@@ -98,9 +96,8 @@ def _sorted(rows: np.ndarray) -> pd.DataFrame:
 # antimeridian and a pole of the Earth without distortion.
 
 _WGS84 = Geod(ellps="WGS84")
-
+# Step that turns a bearing into a direction: short against the Earth, long against rounding.
 _STEP_M = 10.0
-"""Step that turns a bearing into a direction: short against the Earth, long against rounding."""
 
 
 class TangentFrame:
@@ -112,7 +109,10 @@ class TangentFrame:
     """
 
     def __init__(self, latitude_deg: Floats, longitude_deg: Floats) -> None:
-        middle = _unit_vectors(latitude_deg, longitude_deg).mean(axis=0)
+        latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
+        level = np.cos(latitude)
+        xyz = [level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)]
+        middle = np.column_stack(xyz).mean(axis=0)
         self.latitude_deg = float(np.degrees(np.arctan2(middle[2], np.hypot(*middle[:2]))))
         self.longitude_deg = float(np.degrees(np.arctan2(middle[1], middle[0])))
         self._project = Proj(
@@ -149,12 +149,6 @@ def neighbourhoods(latitude_deg: Floats, longitude_deg: Floats, reach_m: float) 
     _, label = connected_components(graph, directed=False)
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-
-
-def _unit_vectors(latitude_deg: Floats, longitude_deg: Floats) -> Floats:
-    latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
-    level = np.cos(latitude)
-    return np.column_stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)])
 
 
 # Why a table of sightings gives no pole.

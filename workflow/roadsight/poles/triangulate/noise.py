@@ -22,31 +22,27 @@ import numpy as np
 from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
+# Length over which errors of a receiver stay alike: tens of seconds at the speed of a street. Those
+# of aligned headings and places across do as well: 10, 50 and 100 m apart their correlation is
+# 0.89, 0.72, 0.60 and 0.79, 0.53, 0.32 on twelve generated roads with 2 pulses/m2, and 0.75, 0.46,
+# 0.21 and 0.54, 0.17, 0.21 on six with 8 and 24.
 _DRIFT_M = 100.0
-"""Length over which errors of a receiver stay alike: tens of seconds at the speed of a street.
-Those of aligned headings and places across do as well: 10, 50 and 100 m apart their correlation is
-0.89, 0.72, 0.60 and 0.79, 0.53, 0.32 on twelve generated roads with 2 pulses/m2, and 0.75, 0.46,
-0.21 and 0.54, 0.17, 0.21 on six with 8 and 24."""
+# Length over which errors of bearings stay alike that nothing else tells: of those without a sigma,
+# and of the shared share of what is a ray's own. An inertial heading wanders between turns.
 _HEADING_M = 30.0
-"""Length over which errors of bearings stay alike that nothing else tells: of those without a
-sigma, and of the shared share of what is a ray's own. An inertial heading wanders between turns."""
+# Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
+# where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that
+# depths that scatter look better than they are.
 _LOOSE = (1.5, 1.5, 0.5)
-"""Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
-where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that depths
-that scatter look better than they are."""
+# As above, of the parts of one kind about each other: the share that is shared, which misfits
+# hardly tell, is known to a factor of 3.
 _APART = 1.0
-"""As above, of the parts of one kind about each other: the share that is shared, which misfits
-hardly tell, is known to a factor of 3."""
-_ROUNDS = 8
-"""Steps of Fisher scoring at most; it rests after four."""
-_SETTLED = 0.01
-"""Steps of the logarithms of the variances that count as rest."""
-_PLACINGS = 3
-"""Gauss-Newton steps of a place; it starts within millimetres."""
+_ROUNDS = 8  # steps of Fisher scoring at most; it rests after four
+_SETTLED = 0.01  # steps of the logarithms of the variances that count as rest
+_PLACINGS = 3  # gauss-Newton steps of a place; it starts within millimetres
+# Least variance of a ray's point, a millimetre: keeps exact sightings from dividing by zero.
 _FLOOR_M2 = 1e-6
-"""Least variance of a ray's point, a millimetre: keeps exact sightings from dividing by zero."""
-_PARTS = 6
-"""Variances of place, bearing and depth: a ray's own, and what near images share."""
+_PARTS = 6  # variances of place, bearing and depth: a ray's own, and what near images share
 
 
 @dataclass(frozen=True)
@@ -142,6 +138,19 @@ def fit_noise(
     return Noise(np.exp(log_variances))
 
 
+def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:
+    """Slope (6,) and expected curvature (6, 6) of the restricted log likelihood."""
+    design = _repeated(block.rest_m.shape[1] // 2)
+    weights = np.linalg.inv(block.covariance(noise))
+    seen = weights @ design
+    # What is left of the weights once the place has taken its part.
+    rest = weights - seen @ np.linalg.inv(design.T @ seen) @ seen.transpose(0, 2, 1)
+    pull = np.einsum("gij,gj->gi", rest, block.rest_m)
+    felt = rest[None] @ block.parts
+    slope = np.einsum("gi,pgij,gj->p", pull, block.parts, pull) - np.einsum("pgii->p", felt)
+    return 0.5 * slope, 0.5 * np.einsum("pgij,qgji->pq", felt, felt)
+
+
 def place_groups(
     rays: Rays,
     groups: Sequence[Ints],
@@ -167,6 +176,18 @@ def place_groups(
             placed[at] += (covariance @ pull)[:, :, 0]
         covariances[at] = covariance
     return placed, covariances
+
+
+def _by_size(groups: Sequence[Ints], least: int = 1) -> list[tuple[Ints, Ints]]:
+    """Numbers of the groups of each size, and their rays (g, k)."""
+    sizes = np.array([len(members) for members in groups], np.int64)
+    found = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes >= least])]
+    return [(at, np.stack([groups[number] for number in at.tolist()])) for at in found]
+
+
+def _repeated(size: int) -> Floats:
+    """Design (2 k, 2): every ray's point is the place."""
+    return np.tile(np.eye(2), (size, 1))
 
 
 def misfits(
@@ -227,7 +248,6 @@ def misfits(
     # it. What hides a foot adds to any depth.
     turn_sigma = np.nan_to_num(own_turn)
     turned = np.radians(rays.turned_deg[members])
-    ways = rays.drift_m[members], rays.aside_m[members]
     own = np.radians(rays.own_deg[members])
     rest = np.where(np.isnan(own), turn_sigma, own)
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * rest), across)
@@ -236,8 +256,11 @@ def misfits(
     near = drive * np.exp(-apart / _DRIFT_M) * _pairs(free)
     for number, alike in enumerate((drive * _pairs(free), drive * _pairs(free), near)):
         fixed += _spread(alike * _pairs(turned[..., number]), across)
-    for way in ways:
-        fixed += _spread(near * _one_way(way), way)
+    for way in (rays.drift_m[members], rays.aside_m[members]):
+        # How alike, by sign: ahead on the way out is astern on the way back.
+        length = np.hypot(way[..., 0], way[..., 1])[..., None]
+        unit = np.divide(way, length, out=np.zeros_like(way), where=length > 0)
+        fixed += _spread(near * (unit @ unit.swapaxes(1, 2)), way)
     # Of a bearing that image and column tell together, what the image tells is the ray's own.
     column = np.divide(turn_sigma, stated_depth, out=np.ones_like(r), where=stated_depth > 0)
     column = np.minimum(column, 1.0) ** 2
@@ -249,16 +272,6 @@ def misfits(
     fixed += np.einsum("giac,gjbc->giajb", column_m, column_m).reshape(fixed.shape)
     fixed += _FLOOR_M2 * np.eye(2 * size)
     return Misfits(rest_m.reshape(groups, -1), np.stack(parts), fixed)
-
-
-def _one_way(way_m: Floats) -> Floats:
-    """How alike errors along ways (g, k, 2) are (g, k, k), by sign.
-
-    Ahead on the way out is astern on the way back.
-    """
-    length = np.hypot(way_m[..., 0], way_m[..., 1])[..., None]
-    ahead = np.divide(way_m, length, out=np.zeros_like(way_m), where=length > 0)
-    return np.asarray(ahead @ ahead.swapaxes(1, 2))
 
 
 def _pairs(factor: Floats) -> Floats:
@@ -274,28 +287,3 @@ def _spread(correlation: Floats, direction: Floats) -> Floats:
     else:
         blocks = np.einsum("gij,giab->giajb", correlation, direction)
     return blocks.reshape(groups, 2 * size, 2 * size)
-
-
-def _repeated(size: int) -> Floats:
-    """Design (2 k, 2): every ray's point is the place."""
-    return np.tile(np.eye(2), (size, 1))
-
-
-def _by_size(groups: Sequence[Ints], least: int = 1) -> list[tuple[Ints, Ints]]:
-    """Numbers of the groups of each size, and their rays (g, k)."""
-    sizes = np.array([len(members) for members in groups], np.int64)
-    found = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes >= least])]
-    return [(at, np.stack([groups[number] for number in at.tolist()])) for at in found]
-
-
-def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:
-    """Slope (6,) and expected curvature (6, 6) of the restricted log likelihood."""
-    design = _repeated(block.rest_m.shape[1] // 2)
-    weights = np.linalg.inv(block.covariance(noise))
-    seen = weights @ design
-    # What is left of the weights once the place has taken its part.
-    rest = weights - seen @ np.linalg.inv(design.T @ seen) @ seen.transpose(0, 2, 1)
-    pull = np.einsum("gij,gj->gi", rest, block.rest_m)
-    felt = rest[None] @ block.parts
-    slope = np.einsum("gi,pgij,gj->p", pull, block.parts, pull) - np.einsum("pgii->p", felt)
-    return 0.5 * slope, 0.5 * np.einsum("pgij,qgji->pq", felt, felt)

@@ -10,31 +10,29 @@ import pandas as pd
 from roadsight.base.doubts import Doubt, Severity
 from roadsight.poles.sightings.metric_depth import NetworkScale
 from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.withhold import UNDER_CROWN
 
+# Share of sightings that end at a column of the cloud below which it shows no poles. With columns
+# it is half or more.
 LEAST_ANCHORED = 0.1
-"""Share of sightings that end at a column of the cloud below which it shows no poles. With columns
-it is half or more."""
+# The same share below which far sightings count and stated errors are doubted. On the generated
+# rural road 0.51 to 0.59 of the sightings end at a column at 24 pulses/m2; at 8 it is 0.25, at 2
+# 0.04, where the ellipses for 95 % hold 91 % of the poles of twelve roads, and 63 and 71 % on two
+# of which one drive each is off by three and more of its sigmas.
 FEW_ANCHORED = 0.4
-"""The same share below which far sightings count and stated errors are doubted. On the generated
-rural road 0.51 to 0.59 of the sightings end at a column at 24 pulses/m2; at 8 it is 0.25, at
-2 0.04, where the ellipses for 95 % hold 91 % of the poles of twelve roads, and 63 and 71 % on two
-of which one drive each is off by three and more of its sigmas."""
+# Where a cloud has no returns on poles, far sightings are all there is of some: on the generated
+# rural road 28 of 30 poles are found with this and 24 with 40 m, and without side views, as a
+# camera of 20 degrees sees a pole from no nearer than 30 m, 22 and 4. Where it has, far rays add
+# groups of other things: 6 beside 31.
 FAR_M = 60.0
-"""Where a cloud has no returns on poles, far sightings are all there is of some: on the generated
-rural road 28 of 30 poles are found with this and 24 with 40 m, and without side views, as a camera
-of 20 degrees sees a pole from no nearer than 30 m, 22 and 4. Where it has, far rays add groups of
-other things: 6 beside 31."""
+# Longest error ellipse of a pole that may rest on far rays: on that road at 8 pulses/m2, once what
+# stands under crowns is left out, 28 of 30 poles and nothing else stay with this, 27 with 0.75 m,
+# 28 and 2 other things with the usual 5 m.
 FAR_SIGMA_M = 1.0
-"""Longest error ellipse of a pole that may rest on far rays: on that road at 8 pulses/m2, once what
-stands under crowns is left out, 28 of 30 poles and nothing else stay with this, 27 with 0.75 m, 28
-and 2 other things with the usual 5 m."""
+# Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
+# much as the guess is.
 UNTURNED = "yaw of the side view not found"
-"""Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
-much as the guess is."""
-UNDER_CROWN = "under a crown, and not clearly in the cloud"
-"""Reason why a pole is withheld, see `locate.withhold_under_crowns`."""
-_LARGE = 0.2
-"""Logarithm of a network's scale from which it is a doubt: a fifth of the distance."""
+_LARGE = 0.2  # logarithm of a network's scale from which it is a doubt: a fifth of the distance
 
 
 def anchored_share(sightings: pd.DataFrame) -> float:

@@ -11,33 +11,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.triangulate.merging import follows_sequence
+from roadsight.poles.triangulate.listing import follows_sequence
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
     TriangulationSettings,
+    camera_pairs,
     cross_rays,
 )
 
+# Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere.
 UNIT_M = 640 / 256
-"""Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere."""
-PUBLISHED_DISTANCE = 25.0
-"""Its maximum distance, in that unit."""
-
+PUBLISHED_DISTANCE = 25.0  # its maximum distance, in that unit
+# The published code measures between cameras on an Earth of 6,367 km instead of 6,371 km.
 _EARTH_RATIO = 6_367_000 / 6_371_000
-"""The published code measures between cameras on an Earth of 6,367 km instead of 6,371 km."""
-_DEPTH_IF_UNKNOWN = 5.0
-"""Depth of a ray that has none, in the unit of depths."""
-_SWEEPS = 15
-"""Visits of each ray on average, as in the first code."""
-_MIN_BASELINE_M = 0.5
-"""Cameras nearer to each other than this count as one place (both codes)."""
+_DEPTH_IF_UNKNOWN = 5.0  # depth of a ray that has none, in the unit of depths
+_SWEEPS = 15  # visits of each ray on average, as in the first code
+_MIN_BASELINE_M = 0.5  # cameras nearer to each other than this count as one place (both codes)
 
 
 @dataclass(frozen=True)
@@ -59,150 +54,7 @@ class Energy:
         return 1.0 - self.depth_weight - self.spread_weight
 
 
-FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)
-"""Constants of the first code."""
-
-
-@dataclass(frozen=True)
-class Links:
-    """Possible links between rays.
-
-    Parameters
-    ----------
-    pairs : ray numbers, shape (m, 2). along : distance of the crossing along either ray in the
-        unit of the depths, (m, 2). place_m : the crossing, (m, 2).
-    """
-
-    pairs: Ints
-    along: Floats
-    place_m: Floats
-
-
-def find_links(
-    rays: Rays, farthest: float, unit_m: float = 1.0, min_baseline_m: float = _MIN_BASELINE_M
-) -> Links:
-    """Crossings ahead of both cameras and within the maximum distance of both.
-
-    Parameters
-    ----------
-    farthest : maximum distance, units. min_baseline_m : of two cameras at least.
-    unit_m : metres in the unit in which depths and the maximum distance count. In the published
-        code this is not the metre, but the cameras' distance is in metres.
-    """
-    apart_m = FURTHEST_CAMERAS * farthest
-    pairs = cKDTree(rays.camera_m).query_pairs(apart_m, output_type="ndarray").astype(np.int64)
-    pairs.sort(axis=1)
-    pairs = pairs[np.lexsort(pairs.T[::-1])]
-    gap_m = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
-    pairs = pairs[gap_m >= min_baseline_m]
-    along_m, place_m = cross_rays(rays, pairs)
-    along = along_m / unit_m
-    # Comparisons with NaN are false, so parallel rays drop out.
-    good = ((along > 0) & (along <= farthest)).all(axis=1)
-    return Links(pairs[good], along[good], place_m[good])
-
-
-def sweep_links(
-    links: Links, depth: Floats, energy: Energy, rng: np.random.Generator | None = None
-) -> Bools:
-    """Which links are on after a search for a low energy.
-
-    A link that is visited is switched if the energy of its two rays does not rise.
-
-    Parameters
-    ----------
-    depth : of each ray, NaN where unknown.
-    rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
-        first, then one of its links; None visits each link once, in order, as the study's code.
-    """
-    depth = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth)
-    state = _State(links, depth, energy)
-    if rng is not None:
-        for ray in rng.integers(0, len(depth), _SWEEPS * len(depth)):
-            if len(state.of_ray[ray]):
-                state.visit(state.of_ray[ray][rng.integers(0, len(state.of_ray[ray]))])
-        return state.on
-    for link in range(len(links.pairs)):
-        state.visit(link)
-    return state.on
-
-
-class _State:
-    """Links that are on, and what switching one changes."""
-
-    def __init__(self, links: Links, depth: Floats, energy: Energy) -> None:
-        self.on = np.zeros(len(links.pairs), bool)
-        self.of_ray: list[list[int]] = [[] for _ in depth]
-        for link, (first, second) in enumerate(links.pairs.tolist()):
-            self.of_ray[first].append(link)
-            self.of_ray[second].append(link)
-        self._pairs = links.pairs.tolist()
-        self._along = links.along.tolist()
-        self._depth = depth.tolist()
-        self._energy = energy
-
-    def visit(self, link: int) -> None:
-        """Switch a link if the energy of its two rays does not rise."""
-        before = sum(self._of(ray) for ray in self._pairs[link])
-        self.on[link] = not self.on[link]
-        after = sum(self._of(ray) for ray in self._pairs[link])
-        if after > before:
-            self.on[link] = not self.on[link]
-
-    def _of(self, ray: int) -> float:
-        """Energy of one ray."""
-        reach = [
-            self._along[link][0 if self._pairs[link][0] == ray else 1]
-            for link in self.of_ray[ray]
-            if self.on[link]
-        ]
-        if not reach:
-            return self._energy.lonely
-        misfit = sum(abs(distance - self._depth[ray]) for distance in reach)
-        spread = max(reach) - min(reach)
-        return self._energy.depth_weight * misfit + self._energy.spread_weight * spread
-
-
-def cluster_rays(
-    links: Links, on: Bools, rays: int, cluster_m: float, stretch: Floats | None = None
-) -> tuple[Ints, Floats]:
-    """Single-linkage clusters of the rays' mean crossings.
-
-    Parameters
-    ----------
-    stretch : (2,), scales x and y before distances are compared with ``cluster_m``.
-
-    Returns
-    -------
-    cluster of each ray, -1 for rays without partner, and the place of each cluster (n, 2): the mean
-    over its rays
-    """
-    ends = np.concatenate([links.pairs[on, 0], links.pairs[on, 1]])
-    crossings = np.concatenate([links.place_m[on]] * 2)
-    counts = np.bincount(ends, minlength=rays)
-    linked = np.flatnonzero(counts)
-    labels = np.full(rays, -1, np.int64)
-    if len(linked) == 0:
-        return labels, np.empty((0, 2))
-    # Far from the origin, sums of coordinates would lose digits.
-    origin = crossings[0]
-    sums = [np.bincount(ends, axis, minlength=rays) for axis in (crossings - origin).T]
-    mean = np.column_stack(sums)[linked] / counts[linked, None]
-    scale = np.ones(2) if stretch is None else stretch
-    near = cKDTree(mean * scale).query_pairs(cluster_m, output_type="ndarray")
-    graph = csr_array((np.ones(len(near)), near.T), shape=(len(linked), len(linked)))
-    clusters, label = connected_components(graph, directed=False)
-    labels[linked] = label
-    size = np.bincount(label, minlength=clusters)
-    places = [np.bincount(label, axis, minlength=clusters) / size for axis in mean.T]
-    return labels, np.column_stack(places) + origin
-
-
-def cluster_reference(places_m: Floats, cluster_m: float) -> Ints:
-    """Single linkage by SciPy, quadratic: what `cluster_rays` must agree with."""
-    if len(places_m) < 2:
-        return np.zeros(len(places_m), np.int64)
-    return fcluster(linkage(places_m), cluster_m, criterion="distance").astype(np.int64) - 1
+FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)  # constants of the first code
 
 
 def published_poles(
@@ -243,6 +95,119 @@ def swept_poles(rays: Rays, settings: TriangulationSettings) -> tuple[Ints, Floa
     labels = np.empty(len(rays), np.int64)
     labels[order] = own
     return labels, places
+
+
+@dataclass(frozen=True)
+class Links:
+    """Possible links between rays.
+
+    Parameters
+    ----------
+    pairs : ray numbers, shape (m, 2). along : distance of the crossing along either ray in the
+        unit of the depths, (m, 2). place_m : the crossing, (m, 2).
+    """
+
+    pairs: Ints
+    along: Floats
+    place_m: Floats
+
+
+def find_links(
+    rays: Rays, farthest: float, unit_m: float = 1.0, min_baseline_m: float = _MIN_BASELINE_M
+) -> Links:
+    """Crossings ahead of both cameras and within the maximum distance of both.
+
+    Parameters
+    ----------
+    farthest : maximum distance, units. min_baseline_m : of two cameras at least.
+    unit_m : metres in the unit in which depths and the maximum distance count. In the published
+        code this is not the metre, but the cameras' distance is in metres.
+    """
+    pairs = camera_pairs(rays, FURTHEST_CAMERAS * farthest, min_baseline_m)
+    along_m, place_m = cross_rays(rays, pairs)
+    along = along_m / unit_m
+    # Comparisons with NaN are false, so parallel rays drop out.
+    good = ((along > 0) & (along <= farthest)).all(axis=1)
+    return Links(pairs[good], along[good], place_m[good])
+
+
+def sweep_links(
+    links: Links, depth: Floats, energy: Energy, rng: np.random.Generator | None = None
+) -> Bools:
+    """Which links are on after a search for a low energy.
+
+    A link that is visited is switched if the energy of its two rays does not rise.
+
+    Parameters
+    ----------
+    depth : of each ray, NaN where unknown.
+    rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
+        first, then one of its links; None visits each link once, in order, as the study's code.
+    """
+    depths = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth).tolist()
+    pairs, along = links.pairs.tolist(), links.along.tolist()
+    on = np.zeros(len(pairs), bool)
+    of_ray: list[list[int]] = [[] for _ in depths]
+    for link, (first, second) in enumerate(pairs):
+        of_ray[first].append(link)
+        of_ray[second].append(link)
+
+    def energy_of(ray: int) -> float:
+        reach = [along[link][0 if pairs[link][0] == ray else 1] for link in of_ray[ray] if on[link]]
+        if not reach:
+            return energy.lonely
+        misfit = sum(abs(distance - depths[ray]) for distance in reach)
+        return energy.depth_weight * misfit + energy.spread_weight * (max(reach) - min(reach))
+
+    def visit(link: int) -> None:
+        before = sum(energy_of(ray) for ray in pairs[link])
+        on[link] = not on[link]
+        if sum(energy_of(ray) for ray in pairs[link]) > before:
+            on[link] = not on[link]
+
+    if rng is None:
+        for link in range(len(pairs)):
+            visit(link)
+        return on
+    for ray in rng.integers(0, len(depths), _SWEEPS * len(depths)):
+        if len(of_ray[ray]):
+            visit(of_ray[ray][rng.integers(0, len(of_ray[ray]))])
+    return on
+
+
+def cluster_rays(
+    links: Links, on: Bools, rays: int, cluster_m: float, stretch: Floats | None = None
+) -> tuple[Ints, Floats]:
+    """Single-linkage clusters of the rays' mean crossings.
+
+    Parameters
+    ----------
+    stretch : (2,), scales x and y before distances are compared with ``cluster_m``.
+
+    Returns
+    -------
+    cluster of each ray, -1 for rays without partner, and the place of each cluster (n, 2): the mean
+    over its rays
+    """
+    ends = np.concatenate([links.pairs[on, 0], links.pairs[on, 1]])
+    crossings = np.concatenate([links.place_m[on]] * 2)
+    counts = np.bincount(ends, minlength=rays)
+    linked = np.flatnonzero(counts)
+    labels = np.full(rays, -1, np.int64)
+    if len(linked) == 0:
+        return labels, np.empty((0, 2))
+    # Far from the origin, sums of coordinates would lose digits.
+    origin = crossings[0]
+    sums = [np.bincount(ends, axis, minlength=rays) for axis in (crossings - origin).T]
+    mean = np.column_stack(sums)[linked] / counts[linked, None]
+    scale = np.ones(2) if stretch is None else stretch
+    near = cKDTree(mean * scale).query_pairs(cluster_m, output_type="ndarray")
+    graph = csr_array((np.ones(len(near)), near.T), shape=(len(linked), len(linked)))
+    clusters, label = connected_components(graph, directed=False)
+    labels[linked] = label
+    size = np.bincount(label, minlength=clusters)
+    places = [np.bincount(label, axis, minlength=clusters) / size for axis in mean.T]
+    return labels, np.column_stack(places) + origin
 
 
 def merge_along_drive(

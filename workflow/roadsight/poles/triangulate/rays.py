@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.sections.poles import Triangulation
 
-FURTHEST_CAMERAS = 1.5
-"""Two cameras may pair up to this many times the maximum distance to a pole."""
+FURTHEST_CAMERAS = 1.5  # two cameras may pair up to this many times the maximum distance to a pole
 
 
 class TriangulationSettings(Triangulation):
@@ -40,9 +39,9 @@ class TriangulationSettings(Triangulation):
     beam: int = 48
 
 
+# For cameras that a receiver alone placed, and not their alignment: places are less certain, and
+# poles that were seen twice only are believed.
 UNAIDED = TriangulationSettings(sigma_position_m=2.0, pole_evidence=-0.5)
-"""For cameras that a receiver alone placed, and not their alignment: places are less certain, and
-poles that were seen twice only are believed."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +158,40 @@ def make_rays(
     keys += [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])
     usable = np.isfinite(camera).all(axis=1) & np.isfinite(bearing)
-    order = order[usable[order]]
-    return _without_repeats(rays.take(order))
+    rays = rays.take(order[usable[order]])
+    if len(rays) == 0:
+        return rays
+    # Without those that repeat another in everything but its row.
+    numbers = (rays.image, rays.bearing_deg, np.nan_to_num(rays.depth_m), *rays.camera_m.T)
+    _, first = np.unique(np.column_stack(numbers), axis=0, return_index=True)
+    return rays.take(np.sort(first))
+
+
+def _positive(values: NDArray | None, n: int) -> Floats:
+    if values is None:
+        return np.full(n, np.nan)
+    numbers = np.asarray(values, np.float64)
+    return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.nan)
+
+
+def _whole(values: NDArray | None, n: int) -> Ints:
+    if values is None:
+        return np.full(n, -1, np.int64)
+    return np.nan_to_num(np.asarray(values, np.float64), nan=-1.0).astype(np.int64)
+
+
+def _vectors(values: NDArray | None, n: int, size: int) -> Floats:
+    """Vectors (n, size), zero where unknown."""
+    if values is None:
+        return np.zeros((n, size))
+    vectors = np.asarray(values, np.float64)
+    return np.where(np.isfinite(vectors), vectors, 0.0)
+
+
+def _codes(labels: list) -> Ints:
+    """Numbers of labels in sorted order, so that they do not depend on the order of the rows."""
+    known = {label: number for number, label in enumerate(sorted(set(labels)))}
+    return np.array([known[label] for label in labels], np.int64)
 
 
 def pair_rays(rays: Rays, settings: TriangulationSettings) -> Ints:
@@ -168,12 +199,17 @@ def pair_rays(rays: Rays, settings: TriangulationSettings) -> Ints:
     if len(rays) < 2:
         return np.empty((0, 2), np.int64)
     reach_m = FURTHEST_CAMERAS * settings.max_distance_m
+    pairs = camera_pairs(rays, reach_m, settings.min_baseline_m)
+    return pairs[rays.image[pairs[:, 0]] != rays.image[pairs[:, 1]]]
+
+
+def camera_pairs(rays: Rays, reach_m: float, min_baseline_m: float) -> Ints:
+    """Pairs (m, 2) of rays, in order, by the distance of their cameras."""
     pairs = cKDTree(rays.camera_m).query_pairs(reach_m, output_type="ndarray").astype(np.int64)
     pairs.sort(axis=1)
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     apart = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
-    other = rays.image[pairs[:, 0]] != rays.image[pairs[:, 1]]
-    return pairs[other & (apart >= settings.min_baseline_m)]
+    return pairs[apart >= min_baseline_m]
 
 
 def cross_rays(rays: Rays, pairs: Ints) -> tuple[Floats, Floats]:
@@ -195,40 +231,3 @@ def cross_rays(rays: Rays, pairs: Ints) -> tuple[Floats, Floats]:
 
 def _cross(a: Floats, b: Floats) -> Floats:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
-def _positive(values: NDArray | None, n: int) -> Floats:
-    if values is None:
-        return np.full(n, np.nan)
-    numbers = np.asarray(values, np.float64)
-    return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.nan)
-
-
-def _vectors(values: NDArray | None, n: int, size: int) -> Floats:
-    """Vectors (n, size), zero where unknown."""
-    if values is None:
-        return np.zeros((n, size))
-    vectors = np.asarray(values, np.float64)
-    return np.where(np.isfinite(vectors), vectors, 0.0)
-
-
-def _whole(values: NDArray | None, n: int) -> Ints:
-    if values is None:
-        return np.full(n, -1, np.int64)
-    return np.nan_to_num(np.asarray(values, np.float64), nan=-1.0).astype(np.int64)
-
-
-def _codes(labels: list) -> Ints:
-    """Numbers of labels in sorted order, so that they do not depend on the order of the rows."""
-    known = {label: number for number, label in enumerate(sorted(set(labels)))}
-    return np.array([known[label] for label in labels], np.int64)
-
-
-def _without_repeats(rays: Rays) -> Rays:
-    """Rays without those that repeat another in everything but its row."""
-    if len(rays) == 0:
-        return rays
-    numbers = (rays.image, rays.bearing_deg, np.nan_to_num(rays.depth_m), *rays.camera_m.T)
-    key = np.column_stack(numbers)
-    _, first = np.unique(key, axis=0, return_index=True)
-    return rays.take(np.sort(first))

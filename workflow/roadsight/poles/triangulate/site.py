@@ -1,17 +1,15 @@
-"""Poles of a whole site: each kind of object by itself, rows named and described."""
+"""Poles of a whole site: each kind of object by itself, rows named, with what a person decided."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.special import expit, logit
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Ints
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.sightings.confirm import joined
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS
-from roadsight.poles.sightings.trees import CROWN, NO_TRUNK, TRUNK
 from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
@@ -29,15 +27,13 @@ SIGHTING_COLUMNS = (
     "sigma_depth_m",
     "kept",
 )
-
+# Columns of the errors that near images share, and of a ray's own, by their name in `Rays`.
 SHARED_COLUMNS = {
     "drift_m": ("drift_east_m", "drift_north_m"),
     "aside_m": ("aside_east_m", "aside_north_m"),
     "turned_deg": TURNED_COLUMNS,
     "own_deg": (OWN_COLUMN,),
 }
-"""Columns of the errors that near images share, and of a ray's own, by their name in `Rays`."""
-
 POLE_COLUMNS = (
     "id",
     "kind",
@@ -57,22 +53,12 @@ POLE_COLUMNS = (
     "kept",
     "reason",
 )
-
+# Log evidence that a panel needs beyond what a pole needs: its distance is known to half of it, so
+# that rays to walls meet as well. With a pole's 3, signs of two generated roads have 8.4 to 32,
+# other things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3
+# to 49.
 _PANEL_EVIDENCE = 4.0
-"""Log evidence that a panel needs beyond what a pole needs: its distance is known to half of it, so
-that rays to walls meet as well. With a pole's 3, signs of two generated roads have 8.4 to 32, other
-things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3 to 49."""
-
-_NUMBERS = (
-    "x",
-    "y",
-    "sigma_major_m",
-    "sigma_minor_m",
-    "sigma_azimuth_deg",
-    "condition",
-    "evidence",
-)
-"""Columns of poles that hold real numbers."""
+_ERRORS = ("sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition", "evidence")
 
 
 def site_poles(
@@ -94,7 +80,11 @@ def site_poles(
     scale by kind : what depths were multiplied by.
     """
     pole_of = np.full(len(sightings), -1, np.int64)
-    tables, scales, before = [_empty()], {}, 0
+    types: dict[str, type] = {"x": float, "y": float, "score": np.int64}
+    types |= dict.fromkeys(_ERRORS, float) | {"kept": bool}
+    types |= dict.fromkeys(("reason", "id", "kind"), object)
+    empty = pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
+    tables, scales, before = [empty], {}, 0
     usable = sightings["kept"].to_numpy(bool)
     for kind in sorted(set(sightings["kind"][usable])):
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
@@ -116,7 +106,12 @@ def site_poles(
         before += len(poles)
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))
     poles = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
-    return _with_sources(poles, sightings, pole_of), pole_of, scales
+    # Names of the images and routes that show each pole.
+    shown = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
+    named = shown.groupby(pole_of[pole_of >= 0]).agg(joined)
+    named = named.reindex(range(len(poles)), fill_value="")
+    poles = poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
+    return poles, pole_of, scales
 
 
 def near_and_far(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
@@ -154,35 +149,11 @@ def _rays(sightings: pd.DataFrame) -> Rays:
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
 
 
-def _empty() -> pd.DataFrame:
-    types: dict[str, type] = {"x": float, "y": float, "score": np.int64}
-    types |= dict.fromkeys(_NUMBERS[2:], float) | {"kept": bool}
-    types |= dict.fromkeys(("reason", "id", "kind"), object)
-    return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
-
-
-def _with_sources(poles: pd.DataFrame, sightings: pd.DataFrame, pole_of: Ints) -> pd.DataFrame:
-    """Poles with the names of the images and routes that show them."""
-    used = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
-    owner = pole_of[pole_of >= 0]
-    named = used.groupby(owner).agg(_joined)
-    named = named.reindex(range(len(poles)), fill_value="")
-    return poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
-
-
-def _joined(names: pd.Series) -> str:
-    return ";".join(sorted(set(names)))
-
-
-# Poles with what a person decided on them.
-
+# A decision is on the nearest pole of its kind within this distance of where it was made: a pole
+# that is computed again from other settings moves less, and two poles are seldom as near.
 REACH_M = 2.0
-"""A decision is on the nearest pole of its kind within this distance of where it was made: a pole
-that is computed again from other settings moves less, and two poles are seldom as near."""
-
+# What each decision makes of a pole.
 _WORDS = {"accept": "accepted", "reject": "rejected", "move": "moved"}
-"""What each decision makes of a pole."""
-
 REJECTED = "rejected by a person"
 
 
@@ -234,298 +205,3 @@ def nearest_poles(poles: pd.DataFrame, decisions: pd.DataFrame) -> Ints:
             found[number] = row
             taken.add(int(row))
     return found
-
-
-# What an object is like: how high, whether it leans, has arms, how wide its crown is.
-
-SHAPE_COLUMNS = (
-    "height_m",
-    "lean_deg",
-    "sigma_lean_deg",
-    "lean_azimuth_deg",
-    "arm_m",
-    "arm_sides",
-    "crown_width_m",
-)
-"""Columns of poles; NaN where the cloud does not tell, and where the kind has no such thing.
-Heights by images are not among them: frames and wires cut poles, which were 2 to 5 m too low."""
-
-COLUMN = "column"
-"""What the cloud shows of a pole (`cloud_shows`), where it does; of trees see `find_trunks`."""
-
-_SAME_M = 1.0
-"""A column of the cloud this near to a pole, and by twice the pole's own error, is the pole."""
-
-_FARTHEST_M = 3.0
-"""The same at most: columns may stand so near to each other."""
-
-
-def with_shapes(poles: pd.DataFrame, columns: pd.DataFrame | None) -> pd.DataFrame:
-    """Poles with `SHAPE_COLUMNS` and `cloud_shows`, from the cloud's columns at their places.
-
-    Parameters
-    ----------
-    poles : kind, x, y, sigma_major_m, and what objects of the cloud have already, such as
-        `cloud_shows` of trees.
-    columns : x, y, top_m, open_top (1 where the cloud does not show how high it is) and shapes of
-        the columns of the cloud, see `stem_shapes`; None where no one looked for them.
-    """
-    nothing = pd.Series(np.nan, index=poles.index)
-    poles = poles.assign(**{name: poles.get(name, nothing) for name in SHAPE_COLUMNS})
-    shows = poles.get("cloud_shows", pd.Series("", index=poles.index))
-    poles["cloud_shows"] = shows.astype(object).fillna("").astype(str)
-    rows = np.flatnonzero(poles["kind"] == "pole")
-    if columns is None or columns.empty or not len(rows):
-        return poles
-    own = poles.iloc[rows]
-    away, nearest = cKDTree(columns[["x", "y"]].to_numpy(np.float64)).query(
-        own[["x", "y"]].to_numpy(np.float64)
-    )
-    limit = np.minimum(_SAME_M + 2.0 * own["sigma_major_m"].to_numpy(np.float64), _FARTHEST_M)
-    same = away <= limit
-    found = columns.iloc[nearest[same]].set_index(poles.index[rows[same]])
-    found = found.assign(height_m=found["top_m"].where(found["open_top"] == 0))
-    names = [name for name in SHAPE_COLUMNS if name != "crown_width_m"]
-    poles.loc[found.index, names] = found[names]
-    poles.loc[found.index, "cloud_shows"] = COLUMN
-    return poles
-
-
-# How likely a found object is real, calibrated on generated roads.
-
-_ONE_THING = (-0.402, 0.585)
-"""Log odds that the rays of a group show one thing, and not strays that meet: so much, and so much
-of the evidence. Views of one pole share errors, and of all groups that rays allow the best are
-taken, so that the evidence itself says too much. Fitted on 8,243 groups of 210 simulated drives
-with up to one stray an image, of which 94 % are real."""
-
-_IS_A_POLE = (-5.64, -0.72, 2.34)
-"""Log odds that this thing is a pole: so much, of the logarithm of its error (m), of the logarithm
-of one more than its evidence. Trunks and posts that a network takes for poles are real things, seen
-less often and less alike. Fitted on 109 groups of one generated road (seed 1) in clouds of 2, 8 and
-24 pulses a square metre, with the shipped network's masks; 20 are none. On three other roads (seeds
-3, 5, 7) in such clouds, of 194 groups, of which 167 are real, the sum of the probabilities is
-157.9."""
-
-_TREE = 0.98
-"""Of a tree that images show. Of 270 on that road in these clouds, 266 stand within 3 m of a trunk;
-of 677 on the others, 671. How many images show it and how tall it is does not tell them apart."""
-
-_SHOWN = {TRUNK: 24 / 56 * 277 / 8, NO_TRUNK: 1 / 58 * 277 / 95}
-"""Times its odds where the cloud shows a trunk, or that there is none: shares of 56 trunks that
-people labelled in five real streets (no one of them contradicted, which counts as 1 of 58), over
-those of 277 places there without one. A crown alone has the odds times the share of the trees that
-have no more: the more trunks a cloud shows, the more does one tell that is not there."""
-
-_PANEL = 37 / 40
-"""Of a panel that is kept: of 38 on two generated roads (seeds 3 and 5) in three clouds, 36 are
-within 3 m of a sign; one more of either is counted, for 38 are few. Of the 43 on two others (seeds
-1 and 7) 41 are. What is wrong has evidence of 10.1 to 14.6, signs of 10.4 and more."""
-
-CALIBRATED = "generated roads"
-"""What tells a probability, in words: how often what looks so is real on generated roads."""
-
-_DECIDED = "a person's decision"
-
-UNKNOWN = {
-    "stem": "none: its evidence is unknown",
-    "panel": "none: withheld, of which generated roads have few, or of unknown evidence",
-    "crown": "none: no image shows it, or more show something else",
-    "line": "none: generated roads have nothing that is taken for a guardrail",
-    "block": "none: the cloud's class or planes tell it, and how often they err was not counted",
-}
-"""Why there is no probability, by the shape of a kind."""
-
-
-def one_thing_probability(evidence: Floats) -> Floats:
-    """Probability (n,) that the rays of a group show one thing, not strays that meet."""
-    return np.asarray(expit(_ONE_THING[0] + _ONE_THING[1] * evidence), np.float64)
-
-
-def real_probability(poles: pd.DataFrame) -> Floats:
-    """Probability (n,) that an object is real and of its kind; NaN where nothing tells.
-
-    What a person decided is certain.
-
-    Parameters
-    ----------
-    poles : kind, evidence (see `triangulate`), sigma_major_m, score (views), kept, decided,
-    cloud_shows (of trees, see `find_trunks`).
-    """
-    evidence = poles["evidence"].to_numpy(np.float64)
-    sigma_m = poles["sigma_major_m"].to_numpy(np.float64)
-    first, by_error, by_evidence = _IS_A_POLE
-    with np.errstate(invalid="ignore", divide="ignore"):
-        told = by_error * np.log(sigma_m) + by_evidence * np.log1p(np.maximum(evidence, 0.0))
-    shape = _shapes(poles)
-    found = one_thing_probability(evidence) * expit(first + told)
-    found = np.where(shape == "stem", found, np.nan)
-    found = np.where((shape == "panel") & poles["kept"] & np.isfinite(evidence), _PANEL, found)
-    tree = (poles["kind"] == "tree") & (poles["score"] > 0) & poles["kept"]
-    found = np.where(tree, _tree_probability(poles["cloud_shows"].where(tree, "")), found)
-    certain = poles["decided"].map({"accepted": 1.0, "moved": 1.0, "rejected": 0.0})
-    return np.asarray(certain.fillna(pd.Series(found, index=poles.index)), np.float64)
-
-
-def _tree_probability(shows: pd.Series) -> Floats:
-    """Probability (n,) of trees that images show, by what the cloud does."""
-    count = shows.value_counts()
-    # Nothing is known of a cloud before its first tree.
-    trunks = count.get(TRUNK, 0) / (count.get(TRUNK, 0) + count.get(CROWN, 0) + 1)
-    times = shows.map({**_SHOWN, CROWN: 1.0 - trunks}).fillna(1.0).to_numpy(np.float64)
-    return np.asarray(expit(logit(_TREE) + np.log(times)), np.float64)
-
-
-def probability_source(poles: pd.DataFrame, probability: Floats) -> NDArray[np.object_]:
-    """What tells each probability (n,), or why there is none.
-
-    Parameters
-    ----------
-    poles : kind, decided. probability : as `real_probability` gives it.
-    """
-    why = np.array([UNKNOWN[shape] for shape in _shapes(poles)], object)
-    found = np.where(np.isnan(probability), why, CALIBRATED)
-    return np.where(poles["decided"] != "", _DECIDED, found).astype(object)
-
-
-def _shapes(poles: pd.DataFrame) -> NDArray[np.str_]:
-    return np.array([KINDS[kind].shape for kind in poles["kind"]], str)
-
-
-# What speaks against panels of signs: their heights, and what the cloud shows in their place.
-
-STANDING = "stands on the ground as no panel does"
-"""Reason of what is withheld so."""
-
-_STANDS_BELOW_M = 0.7
-"""Height of a lower edge over the ground below which a thing stands on it. On a generated road
-signs have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67."""
-
-UNEVEN = "its edges are not at one height in as many images as a panel needs"
-"""Reason of what is withheld so."""
-
-_ONE_HEIGHT_M = 0.3
-"""Edges of one panel are this near to its usual ones: three pixels of the sample's front view at
-60 m."""
-
-LOW = "its upper edge is lower than a sign's"
-"""Reason of what is withheld so."""
-
-_TOP_M = 1.5
-"""Height over the ground of the lowest upper edge: signs hang 1.5 m high and more beside rural
-roads, object markers, 0.3 m high, at 1.2 m (MUTCD 2009, 2A.18 and 2C.63); letter boxes end below,
-for their floor is at 1.04 to 1.14 m (USPS), and so do cars."""
-
-FILLED = "the cloud shows something that fills its place"
-"""Reason of panels that are withheld so."""
-
-_PLACE_M = 1.0
-"""What is this near to a panel's place tells whether something fills it: half a car's width."""
-
-_FILLED_M = (0.4, 2.0)
-"""Heights over the ground between which there is air below and beside a panel: above grass."""
-
-_FILLED_SHARE = 0.6
-"""Share of the columns of voxels around a place that hold something at these heights. At cars it is
-0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most."""
-
-_FILLED_COLUMNS = 8
-"""So many columns do so: a post and its panel are five where nothing else was scanned. Of voxels
-above 0.6 m the disc has fewer: they are too coarse to tell, and withhold nothing."""
-
-_COLUMN_M = 0.3048
-"""Width of a column, of which finer voxels are parts: of voxels of 0.05 m a panel alone fills 8."""
-
-
-def panel_edges(
-    poles: pd.DataFrame, pole_of: Ints, sightings: pd.DataFrame, ground_m: Floats
-) -> pd.DataFrame:
-    """Heights over the ground at which sightings of panels show their edges, each at its place.
-
-    Parameters
-    ----------
-    pole_of : (n,) row in ``poles`` of each sighting, -1 for none. sightings : x, y and z of the
-    camera, ``lower_edge_rise`` and ``upper_edge_rise`` of what it saw, m per m of plan. ground_m :
-    (p,) at the poles, NaN where it is unknown.
-
-    Returns
-    -------
-    row in ``poles``, lower_m and upper_m; a row for each sighting of a panel whose ground is known
-    """
-    own = np.flatnonzero(pole_of >= 0)
-    row = pole_of[own]
-    x, y, z, *rises = (
-        sightings[["x", "y", "z", "lower_edge_rise", "upper_edge_rise"]].to_numpy(np.float64)[own].T
-    )
-    at_m = poles[["x", "y"]].to_numpy(np.float64)[row]
-    away_m = np.hypot(at_m[:, 0] - x, at_m[:, 1] - y)
-    lower_m, upper_m = (z + rise * away_m - ground_m[row] for rise in rises)
-    edges = pd.DataFrame({"row": row, "lower_m": lower_m, "upper_m": upper_m})
-    return edges[_panels(poles)[row]].dropna()
-
-
-def withhold_by_height(poles: pd.DataFrame, edges: pd.DataFrame, min_views: int) -> pd.DataFrame:
-    """Panels withheld that stand on the ground, end below a sign, or have no one height.
-
-    Vehicles, boxes and walls stand on it, letter boxes are low. Rays to several things that meet
-    by chance show them at several heights there; the place of a panel does not depend on heights,
-    so that they are a test of it.
-
-    Parameters
-    ----------
-    edges : see `panel_edges`. min_views : images that must agree about both edges, and more than
-    half of them.
-    """
-    by_row = edges.groupby("row")[["lower_m", "upper_m"]]
-    usual = by_row.median().reindex(range(len(poles)))
-    off_m = (edges[["lower_m", "upper_m"]] - by_row.transform("median")).abs().max(axis=1)
-    agree = (off_m <= _ONE_HEIGHT_M).groupby(edges["row"]).agg(["sum", "mean"])
-    agree = agree.reindex(range(len(poles)))
-    uneven = (agree["sum"] < min_views) | (agree["mean"] <= 0.5)
-    for against, reason in (
-        (usual["lower_m"] < _STANDS_BELOW_M, STANDING),
-        (usual["upper_m"] < _TOP_M, LOW),
-        (uneven, UNEVEN),
-    ):
-        poles = _withheld(poles, against.to_numpy(bool), reason)
-    return poles
-
-
-def are_filled(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Bools:
-    """Whether something that is no panel on a post fills places (n,): a vehicle, a box.
-
-    Parameters
-    ----------
-    places_m : (n, 2), local metres. ground_m : (n,) height of the ground there. voxels_m : (m, 3)
-    middles of voxels of the ground and of what is firm; plants may stand around a sign.
-    """
-    around = cKDTree(voxels_m[:, :2]).query_ball_point(places_m, _PLACE_M)
-    # A quarter keeps middles of whole, half and third columns off the borders, where they would
-    # go by rounding.
-    from_first = (voxels_m[:, :2] - voxels_m[:, :2].min(axis=0)) / _COLUMN_M
-    column = np.floor(from_first + 0.25)
-    filled = np.zeros(len(places_m), bool)
-    for number, rows in enumerate(around):
-        height = voxels_m[rows, 2] - ground_m[number]
-        low = height < _FILLED_M[1]
-        within = low & (height > _FILLED_M[0])
-        shown, full = (len(np.unique(column[rows][part], axis=0)) for part in (low, within))
-        filled[number] = full >= max(_FILLED_COLUMNS, _FILLED_SHARE * shown)
-    return filled
-
-
-def withhold_filled(poles: pd.DataFrame, filled: Bools) -> pd.DataFrame:
-    """Panels withheld whose places something else fills, see `are_filled`."""
-    return _withheld(poles, filled, FILLED)
-
-
-def _panels(poles: pd.DataFrame) -> NDArray[np.bool_]:
-    return np.array([KINDS[kind].shape == "panel" for kind in poles["kind"]], bool)
-
-
-def _withheld(poles: pd.DataFrame, against: Bools, reason: str) -> pd.DataFrame:
-    """Poles with the panels withheld that something speaks against."""
-    other = _panels(poles) & against & poles["kept"].to_numpy(bool)
-    return poles.assign(
-        kept=poles["kept"] & ~other, reason=np.where(other, reason, poles["reason"]).astype(object)
-    )

@@ -30,11 +30,12 @@ from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.metric_depth import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.metric_depth import network_scales, with_scales
 from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
-from roadsight.poles.triangulate.locate import (
-    drop_near_structures,
-    shares_above,
-    withhold_thin,
-    withhold_under_crowns,
+from roadsight.poles.triangulate.describe import (
+    SHAPE_COLUMNS,
+    UNKNOWN,
+    probability_source,
+    real_probability,
+    with_shapes,
 )
 from roadsight.poles.triangulate.pole_doubts import (
     crown_doubts,
@@ -45,19 +46,20 @@ from roadsight.poles.triangulate.pole_doubts import (
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
     POLE_COLUMNS,
-    SHAPE_COLUMNS,
     SHARED_COLUMNS,
     SIGHTING_COLUMNS,
-    UNKNOWN,
     apply_decisions,
-    are_filled,
-    panel_edges,
-    probability_source,
-    real_probability,
     site_poles,
-    with_shapes,
+)
+from roadsight.poles.triangulate.withhold import (
+    are_filled,
+    drop_near_structures,
+    panel_edges,
+    shares_above,
     withhold_by_height,
     withhold_filled,
+    withhold_thin,
+    withhold_under_crowns,
 )
 from roadsight.stages.command import Command, tell
 
