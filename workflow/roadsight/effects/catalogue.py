@@ -15,9 +15,8 @@ from roadsight.effects.quantities import PLACEMENT, POLES
 
 Mode = Literal["auto", "simulate", "skip"]
 Job = Literal["placement", "poles"]
-
+# How each effect's quantity is measured, by job.
 QUANTITIES = {"placement": PLACEMENT, "poles": POLES}
-"""How each effect's quantity is measured, by job."""
 
 
 class Effect(Section):

@@ -8,6 +8,7 @@ from typing import Any
 
 from roadsight.placement.sensors.sensors import AnySensor
 
+# The settings that quantities depend on: sections, whole or some of their keys.
 SETTINGS: dict[str, set[str] | bool] = {
     "conditions": True,
     "lidar": {"model", "min_cell_points", "mounting", "azimuth_stride"},
@@ -17,7 +18,6 @@ SETTINGS: dict[str, set[str] | bool] = {
     "calibration": {"hfov_deg"},
     "alignment": {"farthest_m"},
 }
-"""The settings that quantities depend on: sections, whole or some of their keys."""
 
 
 @dataclass(frozen=True)

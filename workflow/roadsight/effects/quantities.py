@@ -23,8 +23,8 @@ from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, v
 from roadsight.poles.drive.drive_lenses import with_given
 from roadsight.poles.images.plumb_line import CERTAIN_SIGMAS
 
+# Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four.
 _NEAREST_LANES = 2.0
-"""Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four."""
 
 
 def hole_filling(site: Circumstances) -> Quantity:
@@ -202,6 +202,7 @@ def _of_worst_sensor(site: Circumstances, value: Callable[[AnySensor], float]) -
     return Quantity(values[worst], f"for {worst}")
 
 
+# How the quantity of each effect is measured.
 PLACEMENT: dict[str, Callable[[Circumstances], Quantity]] = {
     "hole_filling": hole_filling,
     "overhead_cover": overhead_cover,
@@ -213,16 +214,12 @@ PLACEMENT: dict[str, Callable[[Circumstances], Quantity]] = {
     "moving_vehicles": moving_vehicles,
     "curvature_refraction": curvature_refraction,
 }
-"""How the quantity of each effect is measured."""
 
 
 # What decides on each effect of the pole job, measured on the scene and what the site gives.
 
-_KNOWN_TO = 0.9
-"""Fields of view are known to 10 %: a narrower one shows less of the roadside."""
-
-_WIDTH_PX = 1000.0
-"""Image width that pixels are told at."""
+_KNOWN_TO = 0.9  # fields of view are known to 10 %: a narrower one shows less of the roadside
+_WIDTH_PX = 1000.0  # image width that pixels are told at
 
 
 def terrain_occlusion(site: Circumstances) -> Quantity:
@@ -313,6 +310,7 @@ def sight_curvature(site: Circumstances) -> Quantity:
     return Quantity(float(rise_m(farthest_m)), f"at {farthest_m:.0f} m")
 
 
+# How the quantity of each effect is measured.
 POLES: dict[str, Callable[[Circumstances], Quantity]] = {
     "terrain_occlusion": terrain_occlusion,
     "side_views": side_views,
@@ -322,4 +320,3 @@ POLES: dict[str, Callable[[Circumstances], Quantity]] = {
     "road_alignment": road_alignment,
     "sight_curvature": sight_curvature,
 }
-"""How the quantity of each effect is measured."""

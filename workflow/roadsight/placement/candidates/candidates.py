@@ -15,15 +15,13 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.sections.placement import Candidates
 
+# Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
+# (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
 _ROOF_SHARE = 0.6
-"""Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
-(`docs/decisions/009-roofs-end-the-search-for-heights.md`)."""
-
+# Cells along either side of that plan, a square as wide as the search radius reaches.
 _ROOF_CELLS = 4
-"""Cells along either side of that plan, a square as wide as the search radius reaches."""
-
+# Percentile of the heights above a position at which its roof is: stray points may hang lower.
 _ROOF_PERCENTILE = 5
-"""Percentile of the heights above a position at which its roof is: stray points may hang lower."""
 
 
 def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
@@ -180,14 +178,13 @@ def _surroundings(xy_m: Floats, ground_z_m: Floats, points_m: Floats | None) -> 
 
 # Horizontal candidate positions along edges, on the regular spacing and denser near gaps.
 
+# The edge's direction at a station is taken from this far behind it to this far ahead.
 _TANGENT_M = 0.5
-"""The edge's direction at a station is taken from this far behind it to this far ahead."""
-
+# Columns of a table without any position.
 _COLUMNS = {
     **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
     **dict.fromkeys(("edge", "mount", "key"), "str"),
 }
-"""Columns of a table without any position."""
 
 
 def positions_along(
@@ -243,43 +240,30 @@ def near_gaps(positions: pd.DataFrame, gaps_xy_m: Floats, radius_m: float) -> Bo
 # shows as free there is rock, fill or a building. Three signs tell: no measured ground at the
 # foot of a mast, a roof that is wider than the space searched for points, and walls all around.
 
+# Surroundings of a position that are looked at: more than the half of a wall between two bores or
+# two carriageways (0.4 to 1.5 m), less than the width of a lane, so that open road shows.
 REACH_M = 2.0
-"""Surroundings of a position that are looked at: more than the half of a wall between two bores or
-two carriageways (0.4 to 1.5 m), less than the width of a lane, so that open road shows."""
-
-_CELLS = 8
-"""Cells along either side of the plan of the surroundings, 0.5 m wide."""
-
+_CELLS = 8  # cells along either side of the plan of the surroundings, 0.5 m wide
+# Of the cells of the surroundings, those that a roof covers at its height: more than a gantry (a
+# fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
+# 1 m behind a portal.
 _ROOF_SHARE_SOLID = 0.6
-"""Of the cells of the surroundings, those that a roof covers at its height: more than a gantry (a
-fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
-1 m behind a portal."""
-
+# The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m; of
+# a crown with a radius of 2.5 m, half of the cells do.
 _ROOF_SPREAD_M = 0.5
-"""The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m;
-of a crown with a radius of 2.5 m, half of the cells do."""
-
+# Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick.
 _THIN_SHARE = 0.35
-"""Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick."""
-
+# Percentile of a roof's points at which it begins: stray points may hang lower.
 _ROOF_PERCENTILE_SOLID = 5
-"""Percentile of a roof's points at which it begins: stray points may hang lower."""
-
-_SECTORS = 16
-"""Directions in which walls are looked for."""
-
+_SECTORS = 16  # directions in which walls are looked for
+# Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
+# of them have one, in a corner three quarters, between the faces of a wall nearly all.
 _WALL_SHARE = 0.8
-"""Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
-of them have one, in a corner three quarters, between the faces of a wall nearly all."""
-
-_BAND_M = 0.5
-"""Points so far above and below a place count as walls at its height."""
-
+_BAND_M = 0.5  # points so far above and below a place count as walls at its height
+# A mast has measured ground so near: a foundation, and the shadow of a rail or of half a car.
 FOOT_M = 1.5
-"""A mast has measured ground so near: a foundation, and the shadow of a rail or of half a car."""
-
+# Spacings of the ground points within which one lies for certain, where that is more.
 _FOOT_SPACINGS = 2.0
-"""Spacings of the ground points within which one lies for certain, where that is more."""
 
 
 @dataclass(frozen=True)

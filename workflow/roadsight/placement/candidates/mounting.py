@@ -19,14 +19,11 @@ from roadsight.base.errors import InputError
 from roadsight.base.section import Section
 
 Length = Annotated[float, Field(ge=0, le=1000)]
-
 Money = Annotated[float, Field(ge=0, le=1e12)]
-
+# A cabinet farther than this from every candidate is on another site: cables are of some 100 m.
 _OFF_SITE_M = 2000.0
-"""A cabinet farther than this from every candidate is on another site: cables are of some 100 m."""
-
+# Distances are sums of steps: rounding must not put one beyond the limit that it stands for.
 _ROUNDING_M = 1e-6
-"""Distances are sums of steps: rounding must not put one beyond the limit that it stands for."""
 
 
 class Mounting(Section):
@@ -141,8 +138,7 @@ def building_cost(candidates: pd.DataFrame, rules: Mounting, cable_m: Floats | N
 
 # Where sensors may hang besides road edges, and where they may not: existing poles, zones.
 
-POLE = "pole"
-"""Mount of positions on poles, and what their keys begin with."""
+POLE = "pole"  # mount of positions on poles, and what their keys begin with
 
 
 def outside_zones(xy_m: Floats, zones: list[shapely.Polygon]) -> Bools:

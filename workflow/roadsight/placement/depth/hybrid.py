@@ -145,12 +145,11 @@ def _least(
 
 # Nearest neighbours in azimuth and elevation, and ranges interpolated from them.
 
+# Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
+# found stays the same.
 _BINS_IN_REACH = 6
-"""Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
-found stays the same."""
-
+# Points this near to the beam are on it: the inverse of their distance means nothing.
 _ON_BEAM_M = 1e-9
-"""Points this near to the beam are on it: the inverse of their distance means nothing."""
 
 
 class Spherical(NamedTuple):

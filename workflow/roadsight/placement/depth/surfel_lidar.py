@@ -24,15 +24,12 @@ from roadsight.scene.samples import Samples, build_samples
 from roadsight.scene.surfels import Surfels, build_local_surfels
 from roadsight.scene.voxel_planes import coarsen, sum_moments
 
+# Corners of a square about its middle, in half edges, in turn.
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-"""Corners of a square about its middle, in half edges, in turn."""
-
+# Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
+# (docs/decisions/011-surfels.md).
 SURFEL_M = Lidar().surfel_size_m
-"""Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
-(docs/decisions/011-surfels.md)."""
-
-_FARTHEST_M = 1e6
-"""Limit of rays without any: rays need a finite one, and no site is so large."""
+_FARTHEST_M = 1e6  # limit of rays without any: rays need a finite one, and no site is so large
 
 
 class SurfelLidar:

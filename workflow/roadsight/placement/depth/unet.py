@@ -22,22 +22,16 @@ from roadsight.base.sections.sensing import CellFilling
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.sensors.sensors import Sensor
 
+# A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or to
+# refined ones alone (1, 1, h, w), as the paper's is.
 Run = Callable[[Floats32], Floats32]
-"""A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or
-to refined ones alone (1, 1, h, w), as the paper's is."""
-
-HALO_CELLS = 56
-"""How far around a cell the network looks, rounded up."""
-
-TILE_CELLS = 720
-"""Columns of a map that the network refines at once: bounds the memory."""
-
+HALO_CELLS = 56  # how far around a cell the network looks, rounded up
+TILE_CELLS = 720  # columns of a map that the network refines at once: bounds the memory
+# How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
+# field of view of -22.5 to 22.5.
 _CONTEXT_DEG = 2.5
-"""How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
-field of view of -22.5 to 22.5."""
-
+# Ranges of neighbouring cells that differ by a greater share are of two surfaces.
 _LARGEST_STEP = 0.05
-"""Ranges of neighbouring cells that differ by a greater share are of two surfaces."""
 
 
 def unet_depth(
@@ -233,14 +227,9 @@ def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
 
 # Sensors of training pairs (paper 1, section 2.4 and Table 1).
 
-ROWS = 500
-"""Rows of the paper's maps: -25 to 25 degrees (Table 1)."""
-
-RANGES_M = tuple(range(50, 201, 10))
-"""Ranges of the paper's pairs (Table 1)."""
-
-HEIGHTS_M = (4.0, 20.0)
-"""Heights of the paper's sensors above the ground."""
+ROWS = 500  # rows of the paper's maps: -25 to 25 degrees (Table 1)
+RANGES_M = tuple(range(50, 201, 10))  # ranges of the paper's pairs (Table 1)
+HEIGHTS_M = (4.0, 20.0)  # heights of the paper's sensors above the ground
 
 
 def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
@@ -253,11 +242,8 @@ def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
 
 # What networks that refine depth maps, and their training, agree on (paper 1, Table 1).
 
-STEP_DEG = 0.1
-"""Cells of the fine grid, both ways."""
-
-MULTIPLE_CELLS = 8
-"""Both sides of what a network sees are multiples of this."""
+STEP_DEG = 0.1  # cells of the fine grid, both ways
+MULTIPLE_CELLS = 8  # both sides of what a network sees are multiples of this
 
 
 def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
@@ -275,14 +261,10 @@ def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
 # The ways to a depth map, by their names in the settings.
 
 _USUAL = CellFilling()
-
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
-
-NETWORK_MODELS = tuple(_UNETS)
-"""Those that need a network."""
-
+NETWORK_MODELS = tuple(_UNETS)  # those that need a network
+# Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w).
 Network = Callable[[Floats32], Floats32]
-"""Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w)."""
 
 
 def model_of_points(

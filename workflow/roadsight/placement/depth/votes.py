@@ -16,22 +16,14 @@ from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.samples import Samples
 
-_COLUMNS = 12
-"""Of a row of a view: see `_seen_from`."""
-_VIEW_SIZE = 1
-"""Samples of this size show how spacing grows with range."""
-_VIEW_SAMPLES = 20_000
-"""So many of them: a median over some thousand a band is good to a per cent."""
-_VIEW_FROM_M = 2.0
-"""From this range on: nearer, a vehicle hides the ground."""
-_VIEW_BAND = 1.5
-"""Bands of range end at so many times where they begin."""
-_VIEW_LEAST = 50
-"""Samples of a band that has a median."""
-_BLOCK_RADIUS_M = 6.0
-"""No sample of a block of 6.4 m lies farther than this from its centre."""
-_BLOCK_NEAR_M = 3.0
-"""Half a block: its nearest samples decide the size that it is taken in."""
+_COLUMNS = 12  # of a row of a view: see `_seen_from`
+_VIEW_SIZE = 1  # samples of this size show how spacing grows with range
+_VIEW_SAMPLES = 20_000  # so many of them: a median over some thousand a band is good to a per cent
+_VIEW_FROM_M = 2.0  # from this range on: nearer, a vehicle hides the ground
+_VIEW_BAND = 1.5  # bands of range end at so many times where they begin
+_VIEW_LEAST = 50  # samples of a band that has a median
+_BLOCK_RADIUS_M = 6.0  # no sample of a block of 6.4 m lies farther than this from its centre
+_BLOCK_NEAR_M = 3.0  # half a block: its nearest samples decide the size that it is taken in
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,15 @@ from roadsight.placement.sight.common_traffic import (
 from roadsight.placement.sight.lanes import Traffic
 from roadsight.setcover.plans.joint import JointProblem
 
+# Greatest share that a sensor's gain -log(1 - p) is taken of: certainty would gain without end, and
+# a share that is stored as float32 is never certain.
 _MOST_SHARE = 1 - 1e-9
-"""Greatest share that a sensor's gain -log(1 - p) is taken of: certainty would gain without end,
-and a share that is stored as float32 is never certain."""
-_TOLERANCE = 1e-9
-"""Rounding of joint shares: a target that lacks no more of the level reaches it."""
+_TOLERANCE = 1e-9  # rounding of joint shares: a target that lacks no more of the level reaches it
+# Targets for which a round adds a constraint, those that lack the most. With more of them there are
+# fewer rounds, each with a larger problem.
 _CUTS = 40
-"""Targets for which a round adds a constraint, those that lack the most. With more of them there
-are fewer rounds, each with a larger problem."""
+# Limits of the classes in which availability is counted.
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999, 1.0)
-"""Limits of the classes in which availability is counted."""
 
 
 def share_matrix(

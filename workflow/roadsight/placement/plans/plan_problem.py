@@ -24,8 +24,7 @@ from roadsight.placement.sensors.poses import split_pose
 from roadsight.setcover.common.problem import CoverProblem
 from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 
-_NAMED = 5
-"""Targets that a message names."""
+_NAMED = 5  # targets that a message names
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 
+# Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
+# hides all that is behind it, so that a target which would need the beam is not taken for seen.
 NOT_CAST_M = 2.0**-10
-"""Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
-hides all that is behind it, so that a target which would need the beam is not taken for seen."""
 
 
 def sensor_from_local(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> Floats:
@@ -129,27 +129,17 @@ def as_seen_from(
 
 # Directions in which a sensor measures, as a grid in its own frame with a weight for each cell.
 
+# Numbers of the projections, by which kernels know them; see `Raster`.
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
-"""Numbers of the projections, by which kernels know them; see `Raster`."""
-
-_ROSETTE_CELL_DEG = 0.1
-"""Cells in which a rosette's expected points are gathered."""
-
+_ROSETTE_CELL_DEG = 0.1  # cells in which a rosette's expected points are gathered
+# Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
+# the axis.
 _ROSETTE_PARTS = 4
-"""Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
-the axis."""
-
+# Cells that tell which part of a target a radar's beam meets: far finer than its resolution.
 _RADAR_CELL_DEG = 0.02
-"""Cells that tell which part of a target a radar's beam meets: far finer than its resolution."""
-
-_MOST_FINE = 24
-"""Pixels of a camera and cells of a rosette looked at along either axis of a target."""
-
-_MOST_RADAR = 16
-"""The same for radars, of which only the part of a target that is met counts."""
-
-_ALL = 1 << 30
-"""More than any sensor has: every beam of a spinning LiDAR is looked at."""
+_MOST_FINE = 24  # pixels of a camera and cells of a rosette looked at along either axis of a target
+_MOST_RADAR = 16  # the same for radars, of which only the part of a target that is met counts
+_ALL = 1 << 30  # more than any sensor has: every beam of a spinning LiDAR is looked at
 
 
 @dataclass(frozen=True)

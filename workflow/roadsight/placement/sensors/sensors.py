@@ -28,22 +28,18 @@ __all__ = [
     "panorama_name",
     "what_it_sees",
 ]
-
-AnySensor = Sensor | AimedSensor
-"""A sensor of any kind."""
-
+AnySensor = Sensor | AimedSensor  # A sensor of any kind
+# Schema of each kind of sensor.
 KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
     "spinning": Sensor,
     "rosette": Rosette,
     "camera": Camera,
     "radar": Radar,
 }
-"""Schema of each kind of sensor."""
-
+# Names that `panorama_name` gives: step and range.
 _PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")
-"""Names that `panorama_name` gives: step and range."""
+# Highest elevation of a panorama: targets stand on the road, hardly ever above their sensor.
 _PANORAMA_TOP_DEG = 20.0
-"""Highest elevation of a panorama: targets stand on the road, hardly ever above their sensor."""
 
 
 def load_sensors(path: str | os.PathLike[str]) -> dict[str, AnySensor]:
@@ -104,11 +100,11 @@ def _resolved(name: object, given: dict[Any, Any], path: str) -> Any:
     return keys
 
 
+# Keys of a spinning LiDAR that say the same in two ways.
 _INSTEAD = (
     ({"azimuth_step_deg"}, {"columns_per_turn"}),
     ({"elevations_deg"}, {"elevation_min_deg", "elevation_max_deg", "channels"}),
 )
-"""Keys of a spinning LiDAR that say the same in two ways."""
 
 
 def _replaced(key: str, own: dict[str, Any]) -> bool:
@@ -140,8 +136,8 @@ def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
     return sensor
 
 
+# Keys of a definition that no depth map and no detection depends on.
 _NOT_SEEN = frozenset({"cost", "price", "source", "points_per_s", "rotation_hz"})
-"""Keys of a definition that no depth map and no detection depends on."""
 
 
 def what_it_sees(sensor: AnySensor) -> dict[str, Any]:

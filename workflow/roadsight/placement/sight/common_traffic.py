@@ -15,14 +15,13 @@ from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sight.lanes import Traffic
 
+# Of more sensors that see a target, those with the greatest free shares count: work doubles with
+# each sensor.
 MOST_SENSORS = 12
-"""Of more sensors that see a target, those with the greatest free shares count: work doubles with
-each sensor."""
-
+# Spans kept of one line of sight, of all lanes and classes together; any more are left out.
 _MOST_SPANS = 64
-"""Spans kept of one line of sight, of all lanes and classes together; any more are left out."""
+# Steps along lines of sight in plan: those of `free_shares`, so that both walk alike.
 _STEP_M = 0.25
-"""Steps along lines of sight in plan: those of `free_shares`, so that both walk alike."""
 
 
 def spans_in_the_way(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> list[Floats]:

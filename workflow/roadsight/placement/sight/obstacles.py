@@ -20,26 +20,17 @@ from roadsight.placement.sensors.rays import NOT_CAST_M, sensor_from_local, sphe
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import target_ranges
 
+# Names of the objects at places (n, 3), empty where there is none.
 ObjectsAt = Callable[[Floats], NDArray[np.object_]]
-"""Names of the objects at places (n, 3), empty where there is none."""
-
+# Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none.
 Cast = Callable[[Floats, Floats], Floats]
-"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
-
+# Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
-"""Heights on a target, as shares of its own, to which sight lines are cast."""
-
-_NEAR_M = 0.4
-"""A hit this near to the target is the pavement or the target's own surroundings."""
-
-CUBE_M = 1.0
-"""Edge of the cubes in which obstacles are gathered."""
-
-NEAREST = 8
-"""Candidates at which an uncovered target is judged."""
-
+_NEAR_M = 0.4  # A hit this near to the target is the pavement or the target's own surroundings
+CUBE_M = 1.0  # edge of the cubes in which obstacles are gathered
+NEAREST = 8  # candidates at which an uncovered target is judged
+# What is told of the sight lines of a pair.
 _COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
-"""What is told of the sight lines of a pair."""
 
 
 def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
@@ -114,8 +105,8 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
+# A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size.
 OBJECT_NEAR_M = 0.6
-"""A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size."""
 
 
 def object_finder(members: pd.DataFrame) -> ObjectsAt:

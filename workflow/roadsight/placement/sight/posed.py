@@ -26,15 +26,14 @@ from roadsight.placement.sight.shapes import (
 )
 
 _Ray = tuple[float, float, float]
-
+# Neighbouring ranges of a greater ratio are of two surfaces
+# (`docs/decisions/042-poses-from-one-panorama.md`).
 _ONE_SURFACE = 1.25
-"""Neighbouring ranges of a greater ratio are of two surfaces
-(`docs/decisions/042-poses-from-one-panorama.md`)."""
+# Angle from the axis, rad, from which on a window takes all cells: the stretch of the equidistant
+# projection, theta over its sine, grows without end towards 180 degrees.
 _WIDEST = np.radians(170.0)
-"""Angle from the axis, rad, from which on a window takes all cells: the stretch of the equidistant
-projection, theta over its sine, grows without end towards 180 degrees."""
+# Angle from the axis, rad, at which a pinhole's window ends: its tangent must stay finite.
 _UPRIGHT = np.radians(89.9)
-"""Angle from the axis, rad, at which a pinhole's window ends: its tangent must stay finite."""
 
 
 @dataclass(frozen=True)

@@ -166,9 +166,9 @@ def _stretch(
 
 # Which beams of a mounted, spinning LiDAR return from targets of any shape, exactly.
 
+# Of a box that spans more rows or columns, every n-th is looked at and stands for n: near boxes
+# would take most of the time, and have far more beams than it takes to see them.
 _MOST = 64
-"""Of a box that spans more rows or columns, every n-th is looked at and stands for n: near boxes
-would take most of the time, and have far more beams than it takes to see them."""
 
 
 def count_tilted_hits(

@@ -139,12 +139,11 @@ def as_met(feet_m: Floats, position_m: ArrayLike) -> Floats:
 # Half of a sensor's beams look above the road, and many of the others beside it. Detection reads
 # the scene along beams that meet a target and along no other, so that those alone are cast.
 
+# Rows and columns beside a window: who looks between beams needs the next ones (`scene_range_m`),
+# of which the lowest two stand for all that is lower.
 _BESIDE = 2
-"""Rows and columns beside a window: who looks between beams needs the next ones (`scene_range_m`),
-of which the lowest two stand for all that is lower."""
-
+# Times its range that a sensor may see bright targets: 80 % to 10 % of the light is 2.8.
 _REACH = 4.0
-"""Times its range that a sensor may see bright targets: 80 % to 10 % of the light is 2.8."""
 
 
 def beams_wanted(

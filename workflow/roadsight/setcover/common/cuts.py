@@ -18,36 +18,22 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 
-_PARTNERS = 5
-"""Descents begin at each target with so many others; more of them take time."""
-
-_CUTS = 60
-"""Most cuts of a round; 100 were tried and did not pay."""
-
+_PARTNERS = 5  # descents begin at each target with so many others; more of them take time
+_CUTS = 60  # most cuts of a round; 100 were tried and did not pay
+# Most targets of a set: longer cuts have more entries, and the relaxation's steps take longer.
 _LONGEST = 20
-"""Most targets of a set: longer cuts have more entries, and the relaxation's steps take longer."""
-
-_BROKEN = 0.02
-"""Least that a cut is broken by, of its right side of 2: less hardly moves the bound."""
-
+_BROKEN = 0.02  # least that a cut is broken by, of its right side of 2: less hardly moves the bound
+# A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
+# rounding of sums must not let a descent go in circles.
 _EVEN = 1e-4
-"""A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
-rounding of sums must not let a descent go in circles."""
-
+# Least distance of a pair's common share from 0 and 1: one nearer is next to decided already.
 _APART = 0.05
-"""Least distance of a pair's common share from 0 and 1: one nearer is next to decided already."""
-
+# Entries of the pattern that all descents of a round may look at, about a second of work.
 _MOST_MOVES = 3e9
-"""Entries of the pattern that all descents of a round may look at, about a second of work."""
-
+# Steps of a descent, about: by them and `_MOST_MOVES` it is told how many pairs can begin.
 _STEPS = 6
-"""Steps of a descent, about: by them and `_MOST_MOVES` it is told how many pairs can begin."""
-
-_MOVE_S = 3e-10
-"""Work by entry that a descent looks at, in seconds, measured."""
-
-_READ_S = 1.5e-7
-"""Work by entry of the constraints, in seconds, measured."""
+_MOVE_S = 3e-10  # work by entry that a descent looks at, in seconds, measured
+_READ_S = 1.5e-7  # work by entry of the constraints, in seconds, measured
 
 
 def balas_ng_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint], float]:
@@ -169,33 +155,20 @@ def _try(
 # broken as soon as the choices with an odd sum have shares of less than 1 together, by half of
 # what is missing.
 
+# Each constraint may join or leave a set together with so many that differ from it least.
 _NEIGHBOURS = 10
-"""Each constraint may join or leave a set together with so many that differ from it least."""
-
-_STARTS = 250
-"""Most constraints that a descent begins at, spread over all: what they find overlaps."""
-
-_CUTS_PARITY_CUTS = 60
-"""Most cuts of a round; 100 were tried and did not pay."""
-
+_STARTS = 250  # most constraints that a descent begins at, spread over all: what they find overlaps
+_CUTS_PARITY_CUTS = 60  # most cuts of a round; 100 were tried and did not pay
+# Most constraints of a set: longer cuts have more entries, and the relaxation's steps take longer.
 _LONGEST_PARITY_CUTS = 40
-"""Most constraints of a set: longer cuts have more entries, and the relaxation's steps take longer.
-"""
-
+# Sum of right sides that no set may reach: cuts are made of cuts, and values must not grow.
 _LARGEST_LOW = 1000.0
-"""Sum of right sides that no set may reach: cuts are made of cuts, and values must not grow."""
-
+# Cuts count where choices of odd sum share less than this, so that they are broken by 0.025.
 _ODD_SHARE = 0.95
-"""Cuts count where choices of odd sum share less than this, so that they are broken by 0.025."""
-
+# Moves that change the odd share by less than this are level: they neither gain nor lose.
 _EVEN_PARITY_CUTS = 1e-3
-"""Moves that change the odd share by less than this are level: they neither gain nor lose."""
-
-_MOVE_S_PARITY_CUTS = 7e-10
-"""Work by choice that a move changes, in seconds, measured."""
-
-_READ_S_PARITY_CUTS = 1.5e-7
-"""Work by entry of the constraints, in seconds, measured."""
+_MOVE_S_PARITY_CUTS = 7e-10  # work by choice that a move changes, in seconds, measured
+_READ_S_PARITY_CUTS = 1.5e-7  # work by entry of the constraints, in seconds, measured
 
 
 def parity_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint], float]:

@@ -15,18 +15,14 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
+# Parts of the smallest cost that a step may be: two costs of six digits have a step.
 _MOST_PARTS = 2**20
-"""Parts of the smallest cost that a step may be: two costs of six digits have a step."""
-
+# Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and sums
+# of thousands of costs must be among them.
 _LARGEST = 2.0**40
-"""Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and
-sums of thousands of costs must be among them."""
-
+# Share of a cost within which it is a whole multiple of a step: some roundings of floats.
 _WHOLE = 2.0**-48
-"""Share of a cost within which it is a whole multiple of a step: some roundings of floats."""
-
-NEAR = 1e-7
-"""Share of its cost to which a cover is proven where costs have no common step."""
+NEAR = 1e-7  # share of its cost to which a cover is proven where costs have no common step
 
 
 class CoverProblem:
@@ -284,17 +280,11 @@ def _choice_mask(name: str, values: ArrayLike, choices: int) -> Bools:
 # Answer of the cover problems, with its proof.
 
 OPTIMAL = "optimal"
-
 TIME_LIMIT = "time_limit"
-
 WITHIN_GAP = "within_gap"
-
 INFEASIBLE = "infeasible"
-
 OWN: Final = "own"
-
-HIGHS: Final = "highs"
-"""Solvers: ours, and HiGHS on a whole integer program."""
+HIGHS: Final = "highs"  # solvers: ours, and HiGHS on a whole integer program
 
 
 @dataclass(frozen=True)

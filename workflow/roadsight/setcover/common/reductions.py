@@ -24,8 +24,7 @@ from roadsight.setcover.common.problem import (
     power_of_two,
 )
 
-MAX_BITS = 2**33
-"""Most choices x targets for which dominance is searched: 1 GiB of bits."""
+MAX_BITS = 2**33  # most choices x targets for which dominance is searched: 1 GiB of bits
 
 
 @dataclass

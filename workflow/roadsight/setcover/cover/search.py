@@ -25,18 +25,14 @@ from roadsight.setcover.common.tree import (
 from roadsight.setcover.cover.closing import Closing
 from roadsight.setcover.cover.local_search import LocalSearch, LongSearch
 
+# Shares nearer than this to a whole number are whole: ten times the solver's own tolerance.
 _WHOLE = 1e-6
-"""Shares nearer than this to a whole number are whole: ten times the solver's own tolerance."""
-
+# Nodes of a tree before local search is tried again: smaller trees end soon by themselves.
 _FIRST_RETRY = 32
-"""Nodes of a tree before local search is tried again: smaller trees end soon by themselves."""
-
+# Steps of local search by node of the tree, each time the tree has doubled. More of them take work
+# from the proof, fewer leave the tree to refute covers that local search would have found.
 _STEPS_PER_NODE = 400
-"""Steps of local search by node of the tree, each time the tree has doubled. More of them take
-work from the proof, fewer leave the tree to refute covers that local search would have found."""
-
-_ENTRY_S = 4e-9
-"""Work of a propagation by entry of the matrix, in seconds, measured."""
+_ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, in seconds, measured
 
 
 @dataclass(frozen=True)
@@ -221,15 +217,13 @@ class Search(BestFirst):
 # refuted for all. Its instance is far smaller, and many of its choices are alike. A cheap cover
 # of the core either covers everything, or leaves targets open that join the core.
 
+# Share of all targets that is still a core: with more of them the proof is hardly easier, and may
+# have to begin again once other targets join.
 _LARGEST_SHARE = 0.5
-"""Share of all targets that is still a core: with more of them the proof is hardly easier, and may
-have to begin again once other targets join."""
-
+# Steps of local search after a cover of the core that leaves targets open, which join it.
 _STEPS = 2_000
-"""Steps of local search after a cover of the core that leaves targets open, which join it."""
-
+# Outcome of an instance: its best cover, or any that costs less than a ceiling.
 SolvePart = Callable[[Instance, Deadline, float], Outcome]
-"""Outcome of an instance: its best cover, or any that costs less than a ceiling."""
 
 
 def is_small(local: LocalSearch) -> bool:
@@ -283,13 +277,12 @@ def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcom
 
 # Division of a node: do two targets share a choice or not.
 
+# So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
+# pairs of others promise less; a larger number takes time by its square.
 _PAIRED_TARGETS = 80
-"""So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
-pairs of others promise less; a larger number takes time by its square."""
-
+# Pairs whose common share is nearer to a whole number than this count as decided: what is left may
+# be the solver's tolerance, and a division by it changes next to nothing.
 _FRACTION = 1e-3
-"""Pairs whose common share is nearer to a whole number than this count as decided: what is left may
-be the solver's tolerance, and a division by it changes next to nothing."""
 
 
 def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node, Node]:

@@ -40,9 +40,9 @@ from roadsight.setcover.cover.local_search import (
 )
 from roadsight.setcover.cover.search import Outcome, Search, is_small, prove_on_core
 
+# Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
+# and hard ones share what is left.
 _TRIAL = 8
-"""Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
-and hard ones share what is left."""
 
 
 def solve_cover_problem(
@@ -322,14 +322,12 @@ def _assemble(
 # holds, and neighbours that are nearly alike. Where few entries are left, HiGHS has more to
 # branch with: pseudo-costs, conflicts, cuts of many families.
 
+# Entries of the matrix that reduced costs leave, up to which HiGHS branches better.
 _MOST_ENTRIES = 60_000
-"""Entries of the matrix that reduced costs leave, up to which HiGHS branches better."""
-
+# HiGHS's own: coefficients are 1, and with 1e-9 the same trees took up to three times as long.
 _TOLERANCE = 1e-6
-"""HiGHS's own: coefficients are 1, and with 1e-9 the same trees took up to three times as long."""
-
+# Choices of mean cost by which cover and bound may be apart for it: no tree closes more.
 _MOST_SPARE = 6.0
-"""Choices of mean cost by which cover and bound may be apart for it: no tree closes more."""
 
 
 def is_for_highs(instance: Instance, node: Node, best: Bools, bound: float) -> bool:
@@ -406,37 +404,21 @@ def _is_cover(instance: Instance, chosen: Bools) -> bool:
 # enter where the last shares leave them open, and leave without a dual. Groups are left out:
 # without them a cover is at most cheaper.
 
+# Choices x targets above which interior points are used: the published sizes have up to 17 million.
+# 1 km of road took 16 s with them and 42 s with the simplex method; 250 m took that 0.9 s.
 _LARGE = 40_000_000
-"""Choices x targets above which interior points are used: the published sizes have up to 17
-million. 1 km of road took 16 s with them and 42 s with the simplex method; 250 m took that 0.9 s.
-"""
-
-_LEAST_TARGETS = 500
-"""The two shares below stand for so many targets at least."""
-
+_LEAST_TARGETS = 500  # the two shares below stand for so many targets at least
+# Share of all targets to begin with: drawn at random, they are spread over the road.
 _FIRST_SHARE = 1 / 12
-"""Share of all targets to begin with: drawn at random, they are spread over the road."""
-
-_ADDED_SHARE = 1 / 24
-"""Share of all targets that join at once at most."""
-
+_ADDED_SHARE = 1 / 24  # share of all targets that join at once at most
+# Targets that lack more than this are open. Interior points stop near the optimum, not at it.
 _OPEN = 1e-3
-"""Targets that lack more than this are open. Interior points stop near the optimum, not at it."""
-
-_IDLE = 1e-6
-"""Targets whose dual is no more than this leave."""
-
-_LEAST_RISE = 2e-3
-"""Share by which a round must raise the bound to count as progress."""
-
+_IDLE = 1e-6  # targets whose dual is no more than this leave
+_LEAST_RISE = 2e-3  # share by which a round must raise the bound to count as progress
+# Accuracy that the solver is asked for. Any duals give a bound, and the last digits cost steps.
 _TOLERANCE_INTERIOR = 1e-5
-"""Accuracy that the solver is asked for. Any duals give a bound, and the last digits cost steps."""
-
-_PATIENCE = 3
-"""Rounds without progress that end it."""
-
-_STEP_S = 3e-7
-"""Work of a step by entry of the linear program, in seconds, measured."""
+_PATIENCE = 3  # rounds without progress that end it
+_STEP_S = 3e-7  # work of a step by entry of the linear program, in seconds, measured
 
 
 def is_large(instance: Instance) -> bool:

@@ -29,13 +29,11 @@ from roadsight.setcover.plans.deployment import ROUNDED, Deployment
 from roadsight.setcover.plans.tree import Master, Tree
 from roadsight.setcover.plans.whole import any_allowed
 
-_STEPS = 2_000
-"""Trials of the greedy search between two covers that are not proven."""
-_FAR_APART = 2.0**20
-"""Ratio of costs beyond which dear choices are looked for."""
+_STEPS = 2_000  # trials of the greedy search between two covers that are not proven
+_FAR_APART = 2.0**20  # ratio of costs beyond which dear choices are looked for
+# The cover without further conditions, which bounds the answer, has one of so many shares of the
+# work.
 _COVER_SHARES = 3
-"""The cover without further conditions, which bounds the answer, has one of so many shares of the
-work."""
 
 
 @dataclass(frozen=True)

@@ -23,15 +23,11 @@ from roadsight.setcover.common.problem import (
     power_of_two,
 )
 
-_ROUNDING = 1e-12
-"""Share of a budget that sums of charges may exceed it by: they are rounded."""
-
-ROUNDED = 2.0**-43
-"""Share of its terms by which an objective may be rounded."""
-
+_ROUNDING = 1e-12  # share of a budget that sums of charges may exceed it by: they are rounded
+ROUNDED = 2.0**-43  # share of its terms by which an objective may be rounded
+# Common steps of the objective that are smaller, as a share of its largest term, do not count:
+# rounding bounds up to them would hardly help.
 _LEAST_STEP = 1e-3
-"""Common steps of the objective that are smaller, as a share of its largest term, do not count:
-rounding bounds up to them would hardly help."""
 
 
 @dataclass(frozen=True)

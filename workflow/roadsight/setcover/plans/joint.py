@@ -32,33 +32,23 @@ from roadsight.setcover.common.problem import (
 )
 from roadsight.setcover.common.relaxation import quiet_highs
 
+# Sets of choices of which an answer needs one more; none where the sorted choices will do.
 Oracle = Callable[[Ints], list[Ints]]
-"""Sets of choices of which an answer needs one more; none where the sorted choices will do."""
-
-_FIRST = 250
-"""Targets to begin with, those that have the least to spare."""
-
-_ADDED = 80
-"""Most targets that join after a round, those that lack most."""
+_FIRST = 250  # targets to begin with, those that have the least to spare
+_ADDED = 80  # most targets that join after a round, those that lack most
 
 # Covers in which several choices together must give each target enough: what is asked.
 
-TOLERANCE = 1e-7
-"""Share of a need that may be missing."""
-
+TOLERANCE = 1e-7  # share of a need that may be missing
+# Tolerance of the solver. Sums that it lets pass must pass here as well, or it would be asked the
+# same again.
 _SOLVED_TO = TOLERANCE / 100
-"""Tolerance of the solver. Sums that it lets pass must pass here as well, or it would be asked the
-same again."""
-
-_NODES_PER_S = 40
-"""Nodes of a solver's tree in a second of the limit, about."""
-
+_NODES_PER_S = 40  # nodes of a solver's tree in a second of the limit, about
+# Nodes that a round costs at least: setting it up and its root take time as well.
 _NODES_OF_ROUND = 10
-"""Nodes that a round costs at least: setting it up and its root take time as well."""
-
+# The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
+# busy a machine is.
 _CLOCK_FACTOR = 20
-"""The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
-busy a machine is."""
 
 
 def solve_joint(

@@ -32,27 +32,19 @@ from roadsight.setcover.common.relaxation import Node, Relaxation
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.second_kernels import LEVELS, Rules, complete_covers
 
+# Work by entry that the search adds or removes, in seconds: the middle of 6 to 9.5 on the cases of
+# `second_kernels`.
 _ENTRY_S = 7.5e-9
-"""Work by entry that the search adds or removes, in seconds: the middle of 6 to 9.5 on the cases of
-`second_kernels`."""
-
-_ATTEMPT_S = 3e-5
-"""Work of calling the search for some shared choices, in seconds, measured there."""
-
+_ATTEMPT_S = 3e-5  # work of calling the search for some shared choices, in seconds, measured there
+# Work of putting a set of choices in its place by what each pair of it has in common, measured.
 _SET_S = 2e-7
-"""Work of putting a set of choices in its place by what each pair of it has in common, measured."""
-
+# Work of laying out the problem by entry of its matrix, in seconds, measured there.
 _SETUP_S = 1.5e-8
-"""Work of laying out the problem by entry of its matrix, in seconds, measured there."""
-
+# Up to so many sets of choices are sorted by what they have in common: those find more.
 _SORTED = 20_000
-"""Up to so many sets of choices are sorted by what they have in common: those find more."""
-
-_TOLERANCE = 1e-9
-"""Share of a sum by which two are alike."""
-
+_TOLERANCE = 1e-9  # share of a sum by which two are alike
+# Share of its cost that a cover must save to be cheaper: as far as costs are proven.
 _CHEAPER = 1e-7
-"""Share of its cost that a cover must save to be cheaper: as far as costs are proven."""
 
 
 @dataclass(frozen=True)
@@ -301,32 +293,17 @@ def _floored(bound: float, weights: Floats) -> float:
 #
 # Both hold wherever the limit of work stops them. Costs are in one unit, weights in another.
 
-_SHARE = 4
-"""Each of the two bounds has one of so many shares of the work that is left."""
-
-_STEPS = 400
-"""Most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give."""
-
+_SHARE = 4  # each of the two bounds has one of so many shares of the work that is left
+_STEPS = 400  # most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give
+# Work of a step by entry of the matrix, in seconds, measured on the generated highway.
 _STEP_ENTRY_S = 1.2e-9
-"""Work of a step by entry of the matrix, in seconds, measured on the generated highway."""
-
-_STEP_CHOICE_S = 1e-7
-"""The same by choice: they are sorted."""
-
-_REPAIR_S = 2e-8
-"""Work of mending prices by entry of the matrix, in seconds, measured there."""
-
-_STALLED = 20
-"""After so many steps without a better bound, steps get shorter."""
-
+_STEP_CHOICE_S = 1e-7  # the same by choice: they are sorted
+_REPAIR_S = 2e-8  # work of mending prices by entry of the matrix, in seconds, measured there
+_STALLED = 20  # after so many steps without a better bound, steps get shorter
+# The first step goes for a bound lower by this share: about how far bound and covers are apart.
 _NEAR = 0.1
-"""The first step goes for a bound lower by this share: about how far bound and covers are apart."""
-
-_SHORTER = 0.7
-"""Factor by which they do."""
-
-_TOLERANCE_SECOND_BOUNDS = 1e-9
-"""Slope (squared) below which a step leads nowhere."""
+_SHORTER = 0.7  # factor by which they do
+_TOLERANCE_SECOND_BOUNDS = 1e-9  # slope (squared) below which a step leads nowhere
 
 
 class Most(NamedTuple):

@@ -9,21 +9,15 @@ import numpy as np
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 
-LEVELS = 2
-"""Further times that are counted: once more than asked, twice more."""
-_DIVIDED, _CLOSED = -1, -2
-"""What a node of the search is that is no leaf."""
+LEVELS = 2  # further times that are counted: once more than asked, twice more
+_DIVIDED, _CLOSED = -1, -2  # what a node of the search is that is no leaf
+# Work of a node, in entries that are added or removed. This and the next four are a fit to 12
+# cases: plans of the generated highway, and roads of 10 to 1,000 sensors that see 4 to 80 targets.
 _NODE_WORK = 150
-"""Work of a node, in entries that are added or removed. This and the next four are a fit to 12
-cases: plans of the generated highway, and roads of 10 to 1,000 sensors that see 4 to 80 targets."""
-_CHOICE_WORK = 20
-"""Work of adding or removing a choice, beside its entries."""
-_FIT_WORK = 5
-"""Work of looking whether a choice fits."""
-_LAST_WORK = 4
-"""Work of looking at a target for the last choice."""
-_READ_PER_ENTRY = 10
-"""So many numbers are read or zeroed in a row at the work of one entry."""
+_CHOICE_WORK = 20  # work of adding or removing a choice, beside its entries
+_FIT_WORK = 5  # work of looking whether a choice fits
+_LAST_WORK = 4  # work of looking at a target for the last choice
+_READ_PER_ENTRY = 10  # so many numbers are read or zeroed in a row at the work of one entry
 
 
 class Rules(NamedTuple):

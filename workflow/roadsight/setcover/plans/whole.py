@@ -48,12 +48,12 @@ from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deployment import Deployment
 
+# Integer gap of the placement paper (its section 3.2): smaller ones are not asked for.
 PUBLISHED_GAP = 1e-5
-"""Integer gap of the placement paper (its section 3.2): smaller ones are not asked for."""
+# Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
+# the greatest. Of 3,000 random plans it proved two wrongly (weights 1e9 apart and more) and called
+# one impossible that is not (weights 8e7 apart).
 _FARTHEST = 1e6
-"""Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
-the greatest. Of 3,000 random plans it proved two wrongly (weights 1e9 apart and more) and called
-one impossible that is not (weights 8e7 apart)."""
 
 
 class ContradictionError(Exception):
