@@ -18,10 +18,8 @@ from roadsight.base.sections.placement import Candidates
 # Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
 # (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
 _ROOF_SHARE = 0.6
-# Cells along either side of that plan, a square as wide as the search radius reaches.
-_ROOF_CELLS = 4
-# Percentile of the heights above a position at which its roof is: stray points may hang lower.
-_ROOF_PERCENTILE = 5
+_ROOF_CELLS = 4  # along either side of that plan, a square as wide as the search radius reaches
+_ROOF_PERCENTILE = 5  # of a roof's heights, where it begins: stray points may hang lower
 
 
 def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
@@ -136,7 +134,16 @@ def stack_candidates(
     tree = cKDTree(obstacles_xyz_m[:, :2])
     xy = positions[["x", "y"]].to_numpy()
     near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
-    surroundings = _surroundings(xy, positions["ground_z_m"].to_numpy(np.float64), around_xyz_m)
+    surroundings = [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy)
+    if around_xyz_m is not None and len(around_xyz_m):
+        ground = positions["ground_z_m"].to_numpy(np.float64)
+        plan = cKDTree(around_xyz_m[:, :2])
+        surroundings = [
+            Surroundings(around_xyz_m[index][:, :2] - place, around_xyz_m[index][:, 2] - ground_z_m)
+            for index, place, ground_z_m in zip(
+                plan.query_ball_point(xy, REACH_M, return_sorted=True), xy, ground, strict=True
+            )
+        ]
     tops = positions.get("top_m", pd.Series(np.nan, positions.index)).to_numpy(np.float64)
     rows, heights, walls = [], [], []
     for row, index in enumerate(near):
@@ -165,26 +172,8 @@ def stack_candidates(
     return stacked
 
 
-def _surroundings(xy_m: Floats, ground_z_m: Floats, points_m: Floats | None) -> list[Surroundings]:
-    """What lies within two metres of each position (n, 2); nothing where nobody looked."""
-    if points_m is None or not len(points_m):
-        return [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy_m)
-    near = cKDTree(points_m[:, :2]).query_ball_point(xy_m, REACH_M, return_sorted=True)
-    return [
-        Surroundings(points_m[index][:, :2] - place, points_m[index][:, 2] - ground)
-        for index, place, ground in zip(near, xy_m, ground_z_m, strict=True)
-    ]
-
-
-# Horizontal candidate positions along edges, on the regular spacing and denser near gaps.
-
 # The edge's direction at a station is taken from this far behind it to this far ahead.
 _TANGENT_M = 0.5
-# Columns of a table without any position.
-_COLUMNS = {
-    **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
-    **dict.fromkeys(("edge", "mount", "key"), "str"),
-}
 
 
 def positions_along(
@@ -216,7 +205,9 @@ def positions_along(
         part["key"] = [f"{name}-s{station:07.2f}" for station in stations]
         parts.append(part)
     if not parts:
-        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _COLUMNS.items()})
+        columns = dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64")
+        columns |= dict.fromkeys(("edge", "mount", "key"), "str")
+        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in columns.items()})
     return pd.concat(parts, ignore_index=True)
 
 
@@ -247,14 +238,12 @@ _CELLS = 8  # cells along either side of the plan of the surroundings, 0.5 m wid
 # Of the cells of the surroundings, those that a roof covers at its height: more than a gantry (a
 # fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
 # 1 m behind a portal.
-_ROOF_SHARE_SOLID = 0.6
+_WIDE_ROOF_SHARE = 0.6
 # The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m; of
 # a crown with a radius of 2.5 m, half of the cells do.
 _ROOF_SPREAD_M = 0.5
 # Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick.
 _THIN_SHARE = 0.35
-# Percentile of a roof's points at which it begins: stray points may hang lower.
-_ROOF_PERCENTILE_SOLID = 5
 _SECTORS = 16  # directions in which walls are looked for
 # Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
 # of them have one, in a corner three quarters, between the faces of a wall nearly all.
@@ -297,10 +286,10 @@ class Surroundings:
         # Of the cells whose middles lie within the reach, which is a circle.
         whole = np.pi / 4 * _CELLS**2
         thin = level & (thick_m <= _ROOF_SPREAD_M)
-        if level.sum() < _ROOF_SHARE_SOLID * whole or thin.sum() < _THIN_SHARE * whole:
+        if level.sum() < _WIDE_ROOF_SHARE * whole or thin.sum() < _THIN_SHARE * whole:
             return np.inf
         body = self.heights_m[above]
-        return float(np.percentile(body[body >= middle - _ROOF_SPREAD_M], _ROOF_PERCENTILE_SOLID))
+        return float(np.percentile(body[body >= middle - _ROOF_SPREAD_M], _ROOF_PERCENTILE))
 
     def walled(self, heights_m: Floats) -> tuple[Bools, Floats]:
         """Whether walls stand around each height, and how near the nearest points beside it are.

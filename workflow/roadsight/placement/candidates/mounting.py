@@ -136,8 +136,6 @@ def building_cost(candidates: pd.DataFrame, rules: Mounting, cable_m: Floats | N
     return np.asarray(np.where(new, mast, 0.0) + cable, np.float64)
 
 
-# Where sensors may hang besides road edges, and where they may not: existing poles, zones.
-
 POLE = "pole"  # mount of positions on poles, and what their keys begin with
 
 

@@ -92,9 +92,10 @@ def place_targets(
     dense = points >= np.maximum(min_points, _LOCAL_SHARE * around if local else 0)
     row, column = row[dense], column[dense]
     centre_x, centre_y = grid.centres(column, row)
+    names = [f"t{c}_{r}" for c, r in zip(column + grid.west, row + grid.south, strict=True)]
     return pd.DataFrame(
         {
-            "target": _names(column + grid.west, row + grid.south),
+            "target": pd.Series(names, dtype=str),
             "x": centre_x,
             "y": centre_y,
             "z": median[dense],
@@ -119,13 +120,6 @@ def headings_along(edges: Sequence[LineString], xy_m: Floats) -> Floats:
     half = np.pi / 2
     return np.asarray(half - (half - heading) % np.pi)
 
-
-def _names(columns: Ints, rows: Ints) -> pd.Series:
-    names = [f"t{column}_{row}" for column, row in zip(columns, rows, strict=True)]
-    return pd.Series(names, dtype=str)
-
-
-# How much of the pavement a set of targets examines, and what it leaves out.
 
 # What a digitised edge cuts off the outline and is nowhere as wide is no road: narrower than the
 # narrowest lanes that are built for cars (AASHTO Green Book 2018, section 4.3: 2.7 m).

@@ -79,8 +79,12 @@ class SurfelLidar:
         """
         directions = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
         limit_m = min(max_range_m, _FARTHEST_M)
-        range_m = self._first_surfels(origins_m, directions, limit_m)
-        if self._scene is None or self._samples is None or len(directions) == 0:
+        if self._scene is None or len(directions) == 0:
+            return np.full(len(directions), np.inf, np.float32)
+        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
+        range_m = self._scene.first_hits(origins, directions, limit_m)
+        range_m[range_m >= np.float32(limit_m)] = np.inf
+        if self._samples is None:
             return range_m
         places, member = np.unique(
             np.asarray(origins_m, np.float64).reshape(-1, 3), axis=0, return_inverse=True
@@ -92,17 +96,6 @@ class SurfelLidar:
             rays = slice(None) if len(places) == 1 else np.flatnonzero(member.ravel() == number)
             range_m[rays] = view.ranges(directions[rays], range_m[rays])
         range_m[range_m >= limit_m] = np.inf
-        return range_m
-
-    def _first_surfels(
-        self, origins_m: ArrayLike, directions: Floats32, max_range_m: float
-    ) -> Floats32:
-        """Ranges (n,) of the first surfels, infinite where there is none."""
-        if self._scene is None or len(directions) == 0:
-            return np.full(len(directions), np.inf, np.float32)
-        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
-        range_m = self._scene.first_hits(origins, directions, max_range_m)
-        range_m[range_m >= np.float32(max_range_m)] = np.inf
         return range_m
 
     def depth_map(

@@ -82,14 +82,15 @@ class View:
         max_range_m: float,
         settings: VoteSettings,
     ) -> None:
-        self._settings = settings
-        self._samples = samples
-        self._begin, self._end = _rows(samples, origin_m, max_range_m, settings.sample_rad)
-        self._buckets = (
-            int(np.ceil(4 / settings.bucket_rad)),
-            int(np.ceil(2 / settings.bucket_rad)),
-        )
-        s = samples
+        self._settings, s = settings, samples
+        # Rows of the blocks in range, each in the size that its range calls for.
+        away_m = np.linalg.norm(s.block_m - np.asarray(origin_m, np.float64), axis=1)
+        reached = np.flatnonzero(away_m - _BLOCK_RADIUS_M <= max_range_m)
+        wanted = np.maximum(away_m[reached] - _BLOCK_NEAR_M, s.edge_m)
+        wanted = wanted * settings.sample_rad / s.edge_m
+        size = np.clip(np.floor(np.log2(wanted)), 0, len(s.starts) - 1).astype(np.int64)
+        bucket_rad = settings.bucket_rad
+        self._buckets = int(np.ceil(4 / bucket_rad)), int(np.ceil(2 / bucket_rad))
         self._seen, self._starts, self._least, self._most = _seen_from(
             s.xyz_m,
             s.points,
@@ -98,8 +99,8 @@ class View:
             s.spread_m,
             s.reach_m,
             s.spacing_m,
-            self._begin,
-            self._end,
+            s.starts[size, reached],
+            s.starts[size, reached + 1],
             np.asarray(origin_m, np.float64),
             max_range_m,
             *self._buckets,
@@ -161,18 +162,6 @@ def seen_from_here(
     middle = np.array([np.median(log_m[:, band == number], axis=1) for number in enough])
     away = middle[:, 0] - middle[:, 0].mean()
     return bool((away * middle[:, 1]).sum() >= settings.own_view * (away**2).sum())
-
-
-def _rows(
-    samples: Samples, origin_m: NDArray[np.floating], max_range_m: float, sample_rad: float
-) -> tuple[Ints, Ints]:
-    """First and last rows of the blocks in range, each in the size that its range calls for."""
-    edge_m = samples.edge_m
-    away_m = np.linalg.norm(samples.block_m - np.asarray(origin_m, np.float64), axis=1)
-    reached = np.flatnonzero(away_m - _BLOCK_RADIUS_M <= max_range_m)
-    wanted = np.maximum(away_m[reached] - _BLOCK_NEAR_M, edge_m) * sample_rad / edge_m
-    size = np.clip(np.floor(np.log2(wanted)), 0, len(samples.starts) - 1).astype(np.int64)
-    return samples.starts[size, reached], samples.starts[size, reached + 1]
 
 
 @compiled()

@@ -155,12 +155,14 @@ def register(scan_xyz_m: Floats, planned: Planned) -> Registered:
     position_m = planned.position_m
     if len(planned.xyz_m) < _FEWEST or len(scan_xyz_m) < _FEWEST:
         return _compared(scan_xyz_m, planned, *start)
-    points = scan_xyz_m[_evenly(len(scan_xyz_m), _POINTS)]
+    count = len(scan_xyz_m)
+    points = scan_xyz_m[np.unique(np.linspace(0, count - 1, min(count, _POINTS)).astype(np.int64))]
     tree = cKDTree(planned.xyz_m)
     turns = [Rotation.from_euler("z", 360 * k / _HEADINGS, degrees=True) for k in range(_HEADINGS)]
     starts = [(turn.as_matrix(), position_m - turn.apply(position_m)) for turn in turns]
     few = points[:: max(len(points) // 1_000, 1)]
-    shares = [_near_share(few, tree, pose) for pose in starts]
+    away = [tree.query(few @ turn.T + shift, distance_upper_bound=1.0)[0] for turn, shift in starts]
+    shares = [float(np.isfinite(one).mean()) for one in away]
     best = np.argsort(-np.array(shares), kind="stable")[:_KEPT_HEADINGS]
     found = []
     for k in dict.fromkeys([0, *best.tolist()]):  # the heading as planned in any case
@@ -173,15 +175,6 @@ def register(scan_xyz_m: Floats, planned: Planned) -> Registered:
         found.append(_compared(points, planned, *pose))
     fit = max(found, key=lambda one: one.share)
     return _compared(scan_xyz_m, planned, fit.rotation, fit.shift_m)
-
-
-def _evenly(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
-
-
-def _near_share(points: Floats, tree: cKDTree, pose: tuple[Floats, Floats]) -> float:
-    away = tree.query(points @ pose[0].T + pose[1], distance_upper_bound=1.0)[0]
-    return float(np.isfinite(away).mean())
 
 
 def _stepped(

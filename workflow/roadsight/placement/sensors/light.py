@@ -110,8 +110,6 @@ def contrast_range_m(extinction_per_m: float) -> float:
     return _CONTRAST / extinction_per_m if extinction_per_m > 0 else np.inf
 
 
-# Curvature of the Earth and refraction of the air along a beam.
-
 EARTH_RADIUS_M = 6_371_000.0  # mean radius (IUGG)
 REFRACTION = 0.13  # coefficient of refraction, Gauss' mean value of geodetic practice
 

@@ -127,8 +127,6 @@ def as_seen_from(
     return offset + np.asarray(position_m, np.float64)
 
 
-# Directions in which a sensor measures, as a grid in its own frame with a weight for each cell.
-
 # Numbers of the projections, by which kernels know them; see `Raster`.
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
 _ROSETTE_CELL_DEG = 0.1  # cells in which a rosette's expected points are gathered
@@ -196,7 +194,8 @@ def rosette_raster(rosette: Rosette) -> Raster:
     its mean over rings as wide as a part of a cell.
     """
     across, upright = rosette.half_view_deg
-    cell = _ROSETTE_CELL_DEG
+    cell, arrow = _ROSETTE_CELL_DEG, rosette.field_deg / 4
+    width = cell / _ROSETTE_PARTS
     u = cell * (np.arange(2 * int(np.ceil(across / cell))) + 0.5 - np.ceil(across / cell))
     v = cell * (np.arange(2 * int(np.ceil(upright / cell))) + 0.5 - np.ceil(upright / cell))
     parts = (np.arange(_ROSETTE_PARTS) + 0.5) / _ROSETTE_PARTS - 0.5
@@ -205,15 +204,11 @@ def rosette_raster(rosette: Rosette) -> Raster:
         for du in parts:
             for dv in parts:
                 radius = np.hypot(u + cell * du, (v + cell * dv - offset_deg)[:, None])
-                weight += _density(radius, rosette.field_deg / 4, cell / _ROSETTE_PARTS)
+                # Mean share of points per square degree of the ring of that width.
+                inner, outer = np.maximum(radius - width / 2, 0), radius + width / 2
+                share = _within(outer, arrow) - _within(inner, arrow)
+                weight += share / (np.pi * (outer**2 - inner**2))
     return Raster(EQUIDISTANT, u, v, weight * (rosette.points / weight.sum()), _MOST_FINE)
-
-
-def _density(radius_deg: Floats, arrow_deg: float, width_deg: float) -> Floats:
-    """Mean share of points per square degree of the ring of a width about each radius."""
-    inner, outer = np.maximum(radius_deg - width_deg / 2, 0), radius_deg + width_deg / 2
-    share = _within(outer, arrow_deg) - _within(inner, arrow_deg)
-    return np.asarray(share / (np.pi * (outer**2 - inner**2)))
 
 
 def _within(radius_deg: Floats, arrow_deg: float) -> Floats:

@@ -79,7 +79,8 @@ def joint_share(spans: Sequence[Floats], per_m: Floats) -> float:
     """
     used = list(spans)
     if len(used) > MOST_SENSORS:
-        hidden = [_mean_number(part, per_m) for part in used]
+        mean = [per_m[p[:, 0].astype(np.int64), p[:, 1].astype(np.int64)] for p in used]
+        hidden = [float((m * (p[:, 3] - p[:, 2])).sum()) for m, p in zip(mean, used, strict=True)]
         used = [used[k] for k in np.argsort(hidden, kind="stable")[:MOST_SENSORS]]
     if not used:
         return 0.0
@@ -97,11 +98,6 @@ def contains(outer: Floats, inner: Floats) -> bool:
     same = (outer[None, :, :2] == inner[:, None, :2]).all(axis=2)
     within = (outer[None, :, 2] <= inner[:, None, 2]) & (outer[None, :, 3] >= inner[:, None, 3])
     return bool((same & within).any(axis=1).all())
-
-
-def _mean_number(spans: Floats, per_m: Floats) -> float:
-    lane, kind = spans[:, 0].astype(np.int64), spans[:, 1].astype(np.int64)
-    return float((per_m[lane, kind] * (spans[:, 3] - spans[:, 2])).sum())
 
 
 @compiled()

@@ -209,15 +209,11 @@ def objects_of(
     extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
     table["length_m"] = np.hypot(extent["x"], extent["y"])
     table["surfels"] = np.bincount(group)
-    table["name"] = _names(table)
-    return row_of, table[_OBJECT]
-
-
-def _names(table: pd.DataFrame) -> list[str]:
-    """Names of objects by kind and place; a number tells those apart that share both."""
+    # A number tells those apart that share kind and place.
     names = [
         f"{kind}{round(x):+d}{round(y):+d}"
         for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
     ]
     times = pd.Series(names).groupby(names).cumcount() + 1
-    return [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
+    table["name"] = [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
+    return row_of, table[_OBJECT]

@@ -59,21 +59,18 @@ def count_beams(
         targets_xyz_m = as_met(targets_xyz_m, position_m)
     hits = _counted(range_m, sensor, position_m, yaw_deg, targets_xyz_m, size_m, sight, tilt)
     if sight.min_range_m > 0:
-        hits[_nearest_m(targets_xyz_m, position_m, size_m) < sight.min_range_m] = 0
+        # Where a target may begin: a cylinder around it holds all of it.
+        place = np.asarray(position_m, np.float64)
+        if isinstance(size_m, Box):
+            radius_m, height_m = np.hypot(size_m.length_m, size_m.width_m) / 2, size_m.height_m
+        else:
+            radius_m, height_m = size_m
+        away = np.hypot(*(targets_xyz_m[:, :2] - place[:2]).T)
+        beside = np.maximum(away - radius_m, 0.0)
+        above = np.maximum(place[2] - targets_xyz_m[:, 2] - height_m, 0.0)
+        below = np.maximum(targets_xyz_m[:, 2] - place[2], 0.0)
+        hits[np.hypot(beside, above + below) < sight.min_range_m] = 0
     return hits
-
-
-def _nearest_m(feet_m: Floats, position_m: ArrayLike, size_m: tuple[float, float] | Box) -> Floats:
-    """Least distance (n,) at which a target may begin: a cylinder around it holds all of it."""
-    place = np.asarray(position_m, np.float64)
-    if isinstance(size_m, Box):
-        radius_m, height_m = np.hypot(size_m.length_m, size_m.width_m) / 2, size_m.height_m
-    else:
-        radius_m, height_m = size_m
-    beside = np.maximum(np.hypot(*(feet_m[:, :2] - place[:2]).T) - radius_m, 0.0)
-    above = np.maximum(place[2] - feet_m[:, 2] - height_m, 0.0)
-    below = np.maximum(feet_m[:, 2] - place[2], 0.0)
-    return np.asarray(np.hypot(beside, above + below))
 
 
 def _counted(
