@@ -143,8 +143,6 @@ def _least(
             least[row, column] = min(least[row, column], points.range_m[i])
 
 
-# Nearest neighbours in azimuth and elevation, and ranges interpolated from them.
-
 # Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
 # found stays the same.
 _BINS_IN_REACH = 6

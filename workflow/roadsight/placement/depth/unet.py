@@ -25,6 +25,8 @@ from roadsight.placement.sensors.sensors import Sensor
 # A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or to
 # refined ones alone (1, 1, h, w), as the paper's is.
 Run = Callable[[Floats32], Floats32]
+STEP_DEG = 0.1  # cells of the fine grid, both ways (Table 1)
+MULTIPLE_CELLS = 8  # both sides of what a network sees are multiples of this
 HALO_CELLS = 56  # how far around a cell the network looks, rounded up
 TILE_CELLS = 720  # columns of a map that the network refines at once: bounds the memory
 # How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
@@ -174,9 +176,6 @@ def _between(one_m: Floats32, other_m: Floats32, share: Floats32) -> Floats32:
     return np.where(same, blended, nearer).astype(np.float32)
 
 
-# Linear interpolation in depth maps (paper 1, Fig. 12, the second way of deployment).
-
-
 def fill_linearly(depth_m: Floats32, wanted: Bools, *, wraps: bool = True) -> Floats32:
     """Ranges of the wanted cells, 0 elsewhere; shape (rows, columns).
 
@@ -225,8 +224,6 @@ def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     return range_m, gap
 
 
-# Sensors of training pairs (paper 1, section 2.4 and Table 1).
-
 ROWS = 500  # rows of the paper's maps: -25 to 25 degrees (Table 1)
 RANGES_M = tuple(range(50, 201, 10))  # ranges of the paper's pairs (Table 1)
 HEIGHTS_M = (4.0, 20.0)  # heights of the paper's sensors above the ground
@@ -238,12 +235,6 @@ def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
     first = STEP_DEG * int(rng.integers(-1800, 1800 - round(span_deg / STEP_DEG) + 1))
     range_m = float(rng.choice(RANGES_M))
     return grid_sensor((first, first + span_deg), (-ROWS // 2, ROWS // 2), range_m)
-
-
-# What networks that refine depth maps, and their training, agree on (paper 1, Table 1).
-
-STEP_DEG = 0.1  # cells of the fine grid, both ways
-MULTIPLE_CELLS = 8  # both sides of what a network sees are multiples of this
 
 
 def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
@@ -258,17 +249,13 @@ def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
     return ((depth_m - np.float32(low)) / np.float32(high - low)).astype(np.float32), low, high
 
 
-# The ways to a depth map, by their names in the settings.
-
 _USUAL = CellFilling()
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)  # those that need a network
-# Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w).
-Network = Callable[[Floats32], Floats32]
 
 
 def model_of_points(
-    name: str, network: Network | None = None, *, filling: CellFilling = _USUAL
+    name: str, network: Run | None = None, *, filling: CellFilling = _USUAL
 ) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 

@@ -125,8 +125,6 @@ def frames_per_s(sensor: AnySensor, frames_hz: float) -> float:
     return 0.0
 
 
-# What a plan would lose if its sensors reached less far: dark targets, a weaker sensor.
-
 DARK = 0.1  # reflectivity of dark targets: the second one at which data sheets state a range
 # Of the range, what is left of it: ranges on data sheets hold for half of the pulses or more, in
 # good air, of a new sensor behind a clean window.

@@ -14,13 +14,12 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.placement.sensors.poses import Turn
+from roadsight.placement.sensors.poses import AS_MOUNTED, Turn
 
 OUT = "out"  # name of the change of a sensor that fails
 # Covers that are tried with rows as they are seen with tolerance, before only rows that were looked
 # at may be chosen: the test sites needed 3 to 20.
 MOST_ROUNDS = 60
-_NO_TURN = Turn(0.0, 0.0, 0.0)  # A sensor that is turned as planned
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Change:
     kind: str
     name: str
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: Turn = _NO_TURN
+    turn: Turn = AS_MOUNTED
 
 
 def changes(move_m: float, turn_deg: float, height_m: float) -> list[Change]:

@@ -86,8 +86,8 @@ class Sensor(BaseModel):
                 raise ValueError(
                     f"{self.rows} channels x {self.columns} columns x {self.rotation_hz:g} turns"
                     f" are {points:,.0f} points a second, more than the {self.points_per_s:,.0f}"
-                    " of points_per_s: fewer columns_per_turn (a larger azimuth_step_deg) or a lower"
-                    " rotation_hz"
+                    " of points_per_s: fewer columns_per_turn (a larger azimuth_step_deg) or a"
+                    " lower rotation_hz"
                 )
         if self.range_min_m >= self.range_m:
             raise ValueError(

@@ -220,9 +220,6 @@ def entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
     return near
 
 
-# Coverage of the targets by all candidates of a plan (paper 1, section 2.5).
-
-
 def detection_matrix(
     detections: pd.DataFrame, choices: pd.MultiIndex, targets: pd.Index
 ) -> sparse.csr_matrix:

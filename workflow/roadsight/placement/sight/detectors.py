@@ -16,7 +16,6 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
-from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.rays import (
     Raster,
     camera_raster,
@@ -27,8 +26,8 @@ from roadsight.placement.sensors.rays import (
 from roadsight.placement.sensors.sensors import AnySensor
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.kinds import Shape
-from roadsight.placement.sight.posed import Panorama, weigh_by_height, weigh_targets
-from roadsight.placement.sight.sight import Sight
+from roadsight.placement.sight.posed import Panorama, weigh_by_height
+from roadsight.placement.sight.sight import Sight, as_met
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,8 @@ class BandedDetector(ABC):
         bands: int,
     ) -> Floats:
         """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
-        feet_m = seen_lower(feet_m, panorama, sight)
+        if sight.curved:
+            feet_m = as_met(feet_m, panorama.position_m)
         found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
         return weigh_by_height(*found, self.beam(sight), bands)[:, 1:]
 
@@ -171,11 +171,13 @@ class RadarDetector:
         self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
         """Power of the echo over the weakest that is found."""
-        feet_m = seen_lower(feet_m, panorama, sight)
+        if sight.curved:
+            feet_m = as_met(feet_m, panorama.position_m)
         strength = self.rcs_m2 / self.sensor.range_rcs_m2
         farthest_m = self.sensor.range_m * max(strength, 1e-12) ** 0.25
         raster = radar_raster(self.sensor)
-        seen, met = weigh_targets(panorama, raster, rotation, feet_m, shape.packed, farthest_m)
+        looked_at = (panorama, raster, rotation, feet_m, shape.packed, farthest_m)
+        met, seen = weigh_by_height(*looked_at, beam=None, bands=1).T
         share = np.divide(seen, met, out=np.zeros_like(seen), where=met > 0)
         middles = feet_m[:, :3] - panorama.position_m + np.array([0.0, 0.0, shape.height_m / 2])
         ahead, left, _ = (middles @ rotation).T
@@ -191,13 +193,3 @@ class RadarDetector:
     def sees(self, measured: Floats) -> Bools:
         """Those whose echo is strong enough."""
         return np.asarray(measured >= 1.0)
-
-
-def seen_lower(feet_m: Floats, panorama: Panorama, sight: Sight) -> Floats:
-    """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
-    if not sight.curved:
-        return feet_m
-    offset = feet_m[:, :2] - panorama.position_m[:2]
-    lower = feet_m.copy()
-    lower[:, 2] -= rise_m(np.hypot(*offset.T))
-    return lower

@@ -13,10 +13,9 @@ import numpy as np
 
 Packed = tuple[int, float, float, float]
 CYLINDER, BOX = 0, 1  # numbers of the shapes, by which kernels know them
-_RADIUS_STEP_M = 0.5
 # Rooms are whole steps, so that a target that grows a little needs no other beams. Targets stand a
 # metre apart: half a metre about each is the road itself.
-_HEIGHT_STEP_M = 1.0
+_RADIUS_STEP_M, _HEIGHT_STEP_M = 0.5, 1.0
 
 
 @dataclass(frozen=True)

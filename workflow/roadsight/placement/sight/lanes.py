@@ -244,8 +244,6 @@ def _expected(
     return expected
 
 
-# Which lanes are of one road, and how many of them lie abreast.
-
 # Carriageways of one road are no farther apart, and all of them lie within twice of it.
 _APART_M = 40.0
 # Cosine of the angle up to which directions are about the same.

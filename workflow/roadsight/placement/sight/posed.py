@@ -52,20 +52,6 @@ class Panorama:
     yaw_deg: float
 
 
-def weigh_targets(
-    panorama: Panorama,
-    raster: Raster,
-    rotation: Floats,
-    feet_m: Floats,
-    shape: Packed,
-    max_range_m: float,
-    beam: tuple[float, float, float] | None = None,
-) -> tuple[Floats, Floats]:
-    """Weight of the raster's cells that meet each target (n,): those that see it, and all."""
-    found = weigh_by_height(panorama, raster, rotation, feet_m, shape, max_range_m, beam, 1)
-    return found[:, 1], found[:, 0]
-
-
 def weigh_by_height(
     panorama: Panorama,
     raster: Raster,
