@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -136,6 +137,12 @@ class Instance:
             group=alone_to_none(self.group[choices]),
             choice=self.choice[choices],
         )
+
+    def is_cover(self, chosen: Bools) -> bool:
+        """Whether choices (m,) cover each target often enough, one of a group at most."""
+        group = self.group[chosen & (self.group >= 0)]
+        seen = self.by_choice.T @ chosen.astype(np.int32)
+        return bool((seen >= self.need).all()) and len(np.unique(group)) == len(group)
 
     def least(self) -> float:
         """Cost of the target that is dearest to cover, in steps: no cover costs less."""
@@ -277,8 +284,6 @@ def _choice_mask(name: str, values: ArrayLike, choices: int) -> Bools:
     return mask
 
 
-# Answer of the cover problems, with its proof.
-
 OPTIMAL = "optimal"
 TIME_LIMIT = "time_limit"
 WITHIN_GAP = "within_gap"
@@ -320,6 +325,12 @@ class Cover:
     nodes: int = 0
     solver: str = OWN
     proved_by: str = OWN
+
+
+def infeasible(start: float, **known: Any) -> Cover:
+    """Answer where nothing is allowed; ``start`` : CPU seconds of this process at its beginning."""
+    seconds = time.process_time() - start
+    return Cover(INFEASIBLE, np.empty(0, np.int64), math.inf, math.inf, 0.0, seconds, **known)
 
 
 def is_within(gap: float, objective: float, bound: float) -> bool:

@@ -91,7 +91,17 @@ def run_program(
     clock_s = limit.clock_left_s()
     if math.isfinite(clock_s):
         highs.setOptionValue("time_limit", clock_s)
-    highs.passModel(_model(program))
+    model = highspy.HighsLp()
+    model.num_row_, model.num_col_ = program.rows.shape
+    model.col_cost_, model.col_lower_, model.col_upper_ = program.price, program.least, program.most
+    model.row_lower_, model.row_upper_ = program.low, program.high
+    model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    model.a_matrix_.start_ = program.rows.indptr
+    model.a_matrix_.index_ = program.rows.indices
+    model.a_matrix_.value_ = program.rows.data.astype(np.float64)
+    kinds = highspy.HighsVarType
+    model.integrality_ = [kinds.kInteger if one else kinds.kContinuous for one in program.whole]
+    highs.passModel(model)
     patience = Patience(limit)
 
     def look(event: highspy.HighsCallbackEvent) -> None:
@@ -110,17 +120,3 @@ def run_program(
     found = info.primal_solution_status == 2
     x = np.array(highs.getSolution().col_value) if found else None
     return Programmed(x, float(info.mip_dual_bound), max(int(info.mip_node_count), 0))
-
-
-def _model(program: Program) -> highspy.HighsLp:
-    model = highspy.HighsLp()
-    model.num_row_, model.num_col_ = program.rows.shape
-    model.col_cost_, model.col_lower_, model.col_upper_ = program.price, program.least, program.most
-    model.row_lower_, model.row_upper_ = program.low, program.high
-    model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-    model.a_matrix_.start_ = program.rows.indptr
-    model.a_matrix_.index_ = program.rows.indices
-    model.a_matrix_.value_ = program.rows.data.astype(np.float64)
-    kinds = highspy.HighsVarType
-    model.integrality_ = [kinds.kInteger if one else kinds.kContinuous for one in program.whole]
-    return model

@@ -154,11 +154,18 @@ class Relaxation:
 
     def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
         """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
-        self._enter(node)
+        low = node.fixed.astype(np.float64)
+        self._highs.changeColsBounds(self.choices, self._variables, low, node.alive.astype(float))
+        self._delete((self._kind == _BRANCH) & ~np.isin(self._number, node.path))
+        present = self._number[self._kind == _BRANCH]
+        self._add(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
         self._highs.setOptionValue("objective_bound", float(goal) / self._unit + _TOLERANCE)
         risen = -np.inf
         while True:
-            self._run(deadline)
+            work_s = run_simplex(self._highs, deadline)
+            work_s += _READ_S * self.instance.by_choice.nnz
+            self.work_s += work_s
+            deadline.spend(work_s)
             if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
                 return self._stopped(np.inf)
             solution = self._read(node)
@@ -170,13 +177,6 @@ class Relaxation:
                 self._delete(self._slack(np.array(self._highs.getSolution().row_value)) > _LOOSE)
             if not self._separate(solution.x):
                 return solution
-
-    def _run(self, deadline: Deadline) -> None:
-        """Solve with the constraints of the moment, within the limit."""
-        work_s = run_simplex(self._highs, deadline)
-        work_s += _READ_S * self.instance.by_choice.nnz
-        self.work_s += work_s
-        deadline.spend(work_s)
 
     def strengthen(
         self, node: Node, solution: Solution, goal: float, deadline: Deadline, parity: bool
@@ -281,15 +281,6 @@ class Relaxation:
         self._add(_TARGET, bad)
         self._add(_GROUP, crowded)
         return bool(len(bad) or len(crowded))
-
-    def _enter(self, node: Node) -> None:
-        """Bounds and branch constraints of a node."""
-        low = node.fixed.astype(np.float64)
-        self._highs.changeColsBounds(self.choices, self._variables, low, node.alive.astype(float))
-        branch = self._kind == _BRANCH
-        self._delete(branch & ~np.isin(self._number, node.path))
-        present = self._number[self._kind == _BRANCH]
-        self._add(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
 
     def _constraint(self, kind: int, number: int) -> Constraint:
         if kind == _CUT:

@@ -67,7 +67,10 @@ def enumerate_covers(
     fixed = np.flatnonzero(node.fixed)
     money = goal - float(instance.cost[fixed].sum()) + room
     depths = 2 + int(np.searchsorted(np.sort(instance.cost[choices]).cumsum(), money, "right"))
-    if not _is_small(instance, len(choices), depths):
+    # Bits of all targets, and needs and prices at all depths, must find room.
+    words = (len(choices) + 63) // 64 * instance.shape[1]
+    words += depths * (len(choices) + instance.shape[1])
+    if not (0 < len(choices) <= _MOST_CHOICES and words <= _MOST_WORDS):
         return Enumeration(False, None, 0.0)
     choices = choices[np.argsort(-solution.x[choices], kind="stable")]
     prices, slack = _prices(instance, solution, choices, fixed, slack)
@@ -82,12 +85,6 @@ def enumerate_covers(
         cover = node.fixed.copy()
         cover[choices[taken]] = True
     return Enumeration(answer == EXCLUDED, cover, work_s + _MOVE_S * moves)
-
-
-def _is_small(instance: Instance, choices: int, depths: int) -> bool:
-    """Whether bits of all targets, and needs and prices at all depths, find room."""
-    words = (choices + 63) // 64 * instance.shape[1] + depths * (choices + instance.shape[1])
-    return 0 < choices <= _MOST_CHOICES and words <= _MOST_WORDS
 
 
 def _prices(
@@ -144,8 +141,6 @@ def _targets(instance: Instance, solution: Solution, choices: Ints, fixed: Ints)
         first,
     )
 
-
-# Compiled search for sets of choices that stay within a slack, see `enumeration`.
 
 UNDECIDED, EXCLUDED, FOUND = 0, 1, 2
 

@@ -116,23 +116,18 @@ class LocalSearch:
 
     def accept(self, trial: Bools) -> bool:
         """Whether a cheap trial covers everything: then it is the best, else targets join."""
-        missing = self._missing(trial)
+        taken = self.instance.by_choice[np.flatnonzero(trial)]
+        seen = np.bincount(taken.indices, minlength=taken.shape[1])
+        missing = np.flatnonzero(seen < self.instance.need)
+        most = max(_NEW_TARGETS, round(_NEW_SHARE * len(seen)))
+        if len(missing) > most:  # some, from all over the road
+            missing = missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
         self._trial = trial.copy()
         # Costs that the search has added up along its way are rounded: they are added anew.
         if not len(missing) and float(self.instance.cost[trial].sum()) < self.cost:
             self.best = trial.copy()
         self.active[missing] = True
         return not len(missing)
-
-    def _missing(self, trial: Bools) -> Ints:
-        """Some of the targets that a trial leaves open, from all over the road."""
-        taken = self.instance.by_choice[np.flatnonzero(trial)]
-        seen = np.bincount(taken.indices, minlength=taken.shape[1])
-        missing = np.flatnonzero(seen < self.instance.need)
-        most = max(_NEW_TARGETS, round(_NEW_SHARE * len(seen)))
-        if len(missing) <= most:
-            return missing
-        return missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
 
 
 def search_while_it_pays(

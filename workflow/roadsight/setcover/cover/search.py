@@ -93,7 +93,7 @@ class Search(BestFirst):
 
     def strengthen(self, root: Solution, deadline: Deadline) -> Solution:
         """Cuts at the root, as long as they pay, and local search between them."""
-        return self._closing.strengthen_root(self._everything(), root, deadline)
+        return self._closing.strengthen(self._everything(), root, deadline, at_root=True)
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
@@ -135,7 +135,8 @@ class Search(BestFirst):
             left = self._propagate(node)
             if left is None or self.instance.cost[node.fixed].sum() > goal:
                 return np.inf, ()
-            if (left <= 0).all() and self._keeps(node.fixed, node.path):
+            branches = (self.relaxation.branches[k] for k in node.path)
+            if (left <= 0).all() and all(node.fixed[choices].any() for choices in branches):
                 self.local.best = node.fixed.copy()
                 return np.inf, ()
             solution = self.relaxation.solve(node, goal, deadline)
@@ -191,9 +192,6 @@ class Search(BestFirst):
             )
         return left
 
-    def _keeps(self, chosen: Bools, path: tuple[int, ...]) -> bool:
-        return all(chosen[self.relaxation.branches[k]].any() for k in path)
-
     def _takes(self, solution: Solution) -> bool:
         """Whether a solution is a cover that nothing below its node is cheaper than.
 
@@ -203,10 +201,7 @@ class Search(BestFirst):
         if np.abs(solution.x - np.round(solution.x)).max() >= _WHOLE:
             return False
         chosen, instance = solution.x > 0.5, self.instance
-        group = instance.group[chosen & (instance.group >= 0)]
-        seen = instance.by_choice.T @ chosen.astype(np.int32)
-        allowed = (seen >= instance.need).all() and len(np.unique(group)) == len(group)
-        if allowed and float(instance.cost[chosen].sum()) < self.cost:
+        if instance.is_cover(chosen) and float(instance.cost[chosen].sum()) < self.cost:
             self.local.best = chosen
         return solution.exceeds(self.goal)
 
@@ -274,8 +269,6 @@ def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcom
     cheap = float(instance.cost[chosen].sum()) < local.cost
     return Outcome(chosen if cheap else None, bound, nodes)
 
-
-# Division of a node: do two targets share a choice or not.
 
 # So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
 # pairs of others promise less; a larger number takes time by its square.

@@ -16,7 +16,6 @@ from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,
-    INFEASIBLE,
     NEAR,
     OPTIMAL,
     OWN,
@@ -25,6 +24,7 @@ from roadsight.setcover.common.problem import (
     Cover,
     CoverProblem,
     Instance,
+    infeasible,
     is_within,
     relative_gap,
 )
@@ -63,11 +63,11 @@ def solve_cover_problem(
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     reduced = reduce_problem(problem)
     if len(reduced.uncoverable) or not reduced.feasible:
-        return _infeasible(reduced, start)
+        return infeasible(start, uncoverable=reduced.uncoverable, reductions=reduced.counts)
     parts = sorted(reduced.parts, key=lambda part: part.by_choice.nnz)
     solved = _solve_parts(parts, np.random.default_rng(seed), deadline, gap)
     if any(one.impossible for one in solved):
-        return _infeasible(reduced, start)
+        return infeasible(start, uncoverable=reduced.uncoverable, reductions=reduced.counts)
     return _assemble(problem, reduced, solved, start, gap)
 
 
@@ -116,7 +116,12 @@ def _solve_parts(
                 tried, had_s[number] = True, share.left_s()
                 before = solved[number]
                 again = _solve_share(before.part, rng, share, gap, before.outcome.best)
-                solved[number] = _better(before, again)
+                # Of both tries the cheaper cover and the higher bound.
+                scale = again.part.step / before.part.step
+                bound = max(before.outcome.bound / scale, again.outcome.bound)
+                nodes = before.outcome.nodes + again.outcome.nodes
+                best = Outcome(again.outcome.best, bound, nodes)
+                solved[number] = replace(again, outcome=best)
     return solved
 
 
@@ -129,30 +134,14 @@ def _solve_share(
 ) -> _Solved:
     """One part within its share of the limit, from a cover that is known, if any."""
     best = greedy_cover(part) if known is None else known
-    part, best = _affordable(part, best)
+    # Choices that cost more than a whole cover does would set the scale of costs.
+    if best is not None and (dear := part.cost > part.cost[best].sum()).any():
+        part = part.select(~dear, np.ones(part.shape[1], bool)).rescaled()
+        best = best[~dear]
     outcome, relaxed = _solve_part(part, best, rng, share, gap)
     cost = math.inf if outcome.best is None else float(part.cost[outcome.best].sum())
     enough = _proven(part, outcome.best, outcome.bound) or is_within(gap, cost, outcome.bound)
     return _Solved(part, outcome, relaxed, share.passed() and not enough)
-
-
-def _affordable(part: Instance, best: Bools | None) -> tuple[Instance, Bools | None]:
-    """Without choices that cost more than a whole cover does: they would set the scale of costs."""
-    if best is None:
-        return part, best
-    dear = part.cost > part.cost[best].sum()
-    if not dear.any():
-        return part, best
-    left = part.select(~dear, np.ones(part.shape[1], bool))
-    return left.rescaled(), best[~dear]
-
-
-def _better(first: _Solved, second: _Solved) -> _Solved:
-    """Of two tries of one part the cheaper cover and the higher bound."""
-    scale = second.part.step / first.part.step
-    bound = max(first.outcome.bound / scale, second.outcome.bound)
-    nodes = first.outcome.nodes + second.outcome.nodes
-    return replace(second, outcome=Outcome(second.outcome.best, bound, nodes))
 
 
 def _solve_part(
@@ -163,7 +152,16 @@ def _solve_part(
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
     if is_large(instance) and best is not None:
-        return _solve_large(instance, best, rng, deadline, gap)
+        # At most a third of the time goes to a bound.
+        inner = interior_bound(instance, rng, deadline.part(3))
+        bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
+        local = LocalSearch(instance, best, inner.target_dual > 0, rng)
+        search_while_it_pays(local, bound, deadline)
+        LongSearch(local, inner.reduced_cost, deadline).ahead(bound, deadline)
+        outcome = Outcome(local.best, bound, 0)
+        if not (_enough(instance, local.best, bound, gap) or deadline.passed()):
+            outcome = _prove(local, bound, rng, deadline, gap)
+        return outcome, inner.bound
     relaxation, root = _root(instance, np.inf, deadline.part(2))
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
@@ -198,20 +196,6 @@ def _cut_and_branch(
         return _prove(local, bound, rng, deadline, gap)
     outcome = search.run(cut, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
-
-
-def _solve_large(
-    instance: Instance, best: Bools, rng: np.random.Generator, deadline: Deadline, gap: float
-) -> tuple[Outcome, float]:
-    """Outcome of a large instance from a cover: at most a third of the time goes to a bound."""
-    inner = interior_bound(instance, rng, deadline.part(3))
-    bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
-    local = LocalSearch(instance, best, inner.target_dual > 0, rng)
-    search_while_it_pays(local, bound, deadline)
-    LongSearch(local, inner.reduced_cost, deadline).ahead(bound, deadline)
-    if _enough(instance, local.best, bound, gap) or deadline.passed():
-        return Outcome(local.best, bound, 0), inner.bound
-    return _prove(local, bound, rng, deadline, gap), inner.bound
 
 
 def _prove(
@@ -273,19 +257,6 @@ def _simple_bound(instance: Instance) -> float:
     return float((least * instance.need).sum())
 
 
-def _infeasible(reduced: Reduced, start: float) -> Cover:
-    return Cover(
-        INFEASIBLE,
-        np.empty(0, np.int64),
-        math.inf,
-        math.inf,
-        0.0,
-        time.process_time() - start,
-        reduced.uncoverable,
-        reduced.counts,
-    )
-
-
 def _assemble(
     problem: CoverProblem, reduced: Reduced, solved: list[_Solved], start: float, gap: float
 ) -> Cover:
@@ -325,7 +296,7 @@ def _assemble(
 # Entries of the matrix that reduced costs leave, up to which HiGHS branches better.
 _MOST_ENTRIES = 60_000
 # HiGHS's own: coefficients are 1, and with 1e-9 the same trees took up to three times as long.
-_TOLERANCE = 1e-6
+_TREE_TOLERANCE = 1e-6
 # Choices of mean cost by which cover and bound may be apart for it: no tree closes more.
 _MOST_SPARE = 6.0
 
@@ -360,7 +331,7 @@ def branch_by_highs(
         deadline,
         gap if gap else 0.0 if instance.integral else NEAR / 2,
         1.0 if instance.integral else 0.0,
-        tolerance=_TOLERANCE,
+        tolerance=_TREE_TOLERANCE,
     )
     # Covers that the node leaves out cost more than the goal, by a step where there is one.
     beyond = cost if instance.integral else float(np.nextafter(instance.goal(cost), np.inf))
@@ -368,7 +339,7 @@ def branch_by_highs(
     if found.x is not None:
         chosen = np.zeros(len(best), bool)
         chosen[np.flatnonzero(alive)[found.x > 0.5]] = True
-        if _is_cover(instance, chosen) and float(instance.cost[chosen].sum()) < cost:
+        if instance.is_cover(chosen) and float(instance.cost[chosen].sum()) < cost:
             best = chosen
     return Outcome(best, min(bound, float(instance.cost[best].sum())), found.nodes, HIGHS)
 
@@ -391,12 +362,6 @@ def cover_program(instance: Instance, fixed: Bools) -> Program:
     )
 
 
-def _is_cover(instance: Instance, chosen: Bools) -> bool:
-    group = instance.group[chosen & (instance.group >= 0)]
-    seen = instance.by_choice.T @ chosen.astype(np.int32)
-    return bool((seen >= instance.need).all()) and len(np.unique(group)) == len(group)
-
-
 # Bound of a large instance by interior points.
 #
 # The simplex method walks from vertex to vertex, the longer the more targets a road has. A bound
@@ -416,7 +381,7 @@ _OPEN = 1e-3
 _IDLE = 1e-6  # targets whose dual is no more than this leave
 _LEAST_RISE = 2e-3  # share by which a round must raise the bound to count as progress
 # Accuracy that the solver is asked for. Any duals give a bound, and the last digits cost steps.
-_TOLERANCE_INTERIOR = 1e-5
+_ACCURACY = 1e-5
 _PATIENCE = 3  # rounds without progress that end it
 _STEP_S = 3e-7  # work of a step by entry of the linear program, in seconds, measured
 
@@ -461,7 +426,7 @@ def _solve(instance: Instance, targets: Ints, deadline: Deadline) -> Solution:
         solver="ipm",
         run_crossover="off",
         presolve="off",
-        ipm_optimality_tolerance=_TOLERANCE_INTERIOR,
+        ipm_optimality_tolerance=_ACCURACY,
         ipm_iteration_limit=deadline.count_left(step_s),
     )
     if np.isfinite(deadline.clock_left_s()):

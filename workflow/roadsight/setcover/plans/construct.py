@@ -132,33 +132,28 @@ class Builder:
 
     def _second_sight(self, inside: Bools, liking: Floats) -> Ints:
         """Choices with more beside them until no failure of one takes too much."""
-        need, weight = self.cuts.need, self.cuts.weight
+        need, weight, deployment = self.cuts.need, self.cuts.weight, self.deployment
+        charge = np.asarray(deployment.charge)
+        price = charge if math.isfinite(deployment.budget) else np.asarray(deployment.cost)
         while True:
             chosen = np.flatnonzero(inside)
             count = count_of_rows(*self._matrix, chosen, len(need))
             critical = (count == need) & (need > 0)
             covered = weight[count >= need].sum()
             lost = sums_of_rows(*self._matrix, chosen, np.where(critical, weight, 0.0))
-            bad = lost > (1 - self.deployment.keep) * covered * (1 + 1e-9)
+            bad = lost > (1 - deployment.keep) * covered * (1 + 1e-9)
             if not bad.any():
                 return chosen
             hit = critical & (count_of_rows(*self._matrix, chosen[bad], len(need)) > 0)
             gain = (self.cuts.by_choice @ np.where(hit, weight, 0.0)) * liking
-            choice = self._best_addition(inside, gain)
-            if choice < 0:
+            used = deployment.exclusive @ inside.astype(np.int32) > 0
+            left = deployment.spendable - charge[inside].sum()
+            free = self._allowed & ~inside & (charge <= left)
+            free &= deployment.exclusive.T @ used == 0
+            score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
+            if not (score > 0).any():
                 return chosen
-            inside[choice] = True
-
-    def _best_addition(self, inside: Bools, gain: Floats) -> int:
-        """Choice that may be added and gains most for what it costs; -1: none."""
-        exclusive, deployment = self.deployment.exclusive, self.deployment
-        used = exclusive @ inside.astype(np.int32) > 0
-        charge = np.asarray(deployment.charge)
-        left = deployment.spendable - charge[inside].sum()
-        free = self._allowed & ~inside & (charge <= left) & (exclusive.T @ used == 0)
-        price = charge if math.isfinite(deployment.budget) else np.asarray(deployment.cost)
-        score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
-        return int(np.argmax(score)) if (score > 0).any() else -1
+            inside[int(np.argmax(score))] = True
 
     def _tidy(self, chosen: Ints) -> Ints:
         """Without choices that are worth less than they cost, the least useful first."""

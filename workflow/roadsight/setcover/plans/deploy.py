@@ -19,6 +19,7 @@ from roadsight.setcover.common.problem import (
     WITHIN_GAP,
     Cover,
     CoverProblem,
+    infeasible,
     is_within,
     relative_gap,
 )
@@ -70,7 +71,7 @@ def solve_deployment(
     """
     start = time.process_time()
     if deployment.out_of_reach:
-        return Deployed(_infeasible(start), [])
+        return Deployed(infeasible(start), [])
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     deployment, unit, _ = _affordable(deployment).normalised()
     builder = Builder(Cuts(deployment), np.random.default_rng(seed))
@@ -78,7 +79,7 @@ def solve_deployment(
     if deployment.complete:
         floor = _by_cover(deployment, builder, deadline, seed, gap)
         if math.isinf(floor):
-            return Deployed(_infeasible(start), [])
+            return Deployed(infeasible(start), [])
     for chosen in starts:
         builder.offer(chosen)
         builder.build(chosen)
@@ -90,7 +91,7 @@ def solve_deployment(
         proof, nodes, pool = tree.bound, tree.nodes, master.pool()
     if builder.best is None and math.isfinite(proof):
         if (allowed := any_allowed(deployment, deadline)) is None:
-            return Deployed(_infeasible(start), pool)
+            return Deployed(infeasible(start), pool)
         builder.offer(allowed)
     found = _assemble(deployment, builder, proof, nodes, start, gap)
     return Deployed(
@@ -167,17 +168,11 @@ def _affordable(deployment: Deployment) -> Deployment:
     return replace(deployment, problem=problem, cost=np.where(dear, most, cost))
 
 
-def _infeasible(start: float) -> Cover:
-    nothing = np.empty(0, np.int64)
-    seconds = time.process_time() - start
-    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds)
-
-
 def _assemble(
     deployment: Deployment, builder: Builder, bound: float, nodes: int, start: float, gap: float
 ) -> Cover:
     if builder.best is None and math.isinf(bound) and bound > 0:
-        return replace(_infeasible(start), nodes=nodes)
+        return infeasible(start, nodes=nodes)
     value = builder.value
     proven = bound > deployment.goal(value)
     bound = value if proven else min(deployment.round_up(bound), value)

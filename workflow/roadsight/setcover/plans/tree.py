@@ -97,7 +97,14 @@ class Tree(BestFirst):
             if not answer.complete:
                 self.builder.improve(_LAST_STEPS if root else 0, answer.bound, deadline)
                 return answer.bound, None
-            self._build(answer, root, deadline)
+            # Deployments near the relaxation, more of them at the root and as the tree doubles.
+            doubled = not self.nodes & (self.nodes - 1)
+            if self.nodes <= _DIVES or doubled:
+                self.builder.build(np.flatnonzero(answer.x > 1 - _WHOLE), answer.x + 0.02)
+                self.builder.build(np.empty(0, np.int64), answer.x + 1e-3)
+            if doubled:
+                steps = _ROOT_STEPS if root else _STEPS * self.nodes
+                self.builder.improve(steps, answer.bound if root else -np.inf, deadline)
             before = node
             node = tighten(before, answer.bound, answer.reduced_cost, self.goal)
             whole = np.minimum(answer.x, 1 - answer.x).max(initial=0.0) < _WHOLE
@@ -123,17 +130,6 @@ class Tree(BestFirst):
         self.master.add(found)
         return bool(found)
 
-    def _build(self, answer: Relaxed, root: bool, deadline: Deadline) -> None:
-        """Deployments near the relaxation, more of them at the root and as the tree doubles."""
-        power = not self.nodes & (self.nodes - 1)
-        if self.nodes <= _DIVES or power:
-            self.builder.build(np.flatnonzero(answer.x > 1 - _WHOLE), answer.x + 0.02)
-            self.builder.build(np.empty(0, np.int64), answer.x + 1e-3)
-        if power:
-            steps = _ROOT_STEPS if root else _STEPS * self.nodes
-            goal = answer.bound if root else -np.inf
-            self.builder.improve(steps, goal, deadline)
-
     def _divide(self, node: Node, answer: Relaxed) -> tuple[Node, Node]:
         """Two nodes that share out all deployments of ``node``.
 
@@ -154,7 +150,14 @@ class Tree(BestFirst):
         """Free choices that see both of the two targets (or one) whose division promises most."""
         cuts, free = self.master.cuts, node.alive & ~node.fixed
         support = np.flatnonzero((x > 1e-9) & free)
-        targets = self._fractional_targets(cuts.count(np.where(free, x, 0.0)))
+        # Targets that free choices see in part or just once; some of them, spread over all.
+        count = cuts.count(np.where(free, x, 0.0))
+        targets = np.flatnonzero((count > _FRACTION) & (count < 1 + _WHOLE))
+        if not self.deployment.complete:
+            targets = targets[cuts.weight[targets] > 0]
+        if len(targets) > _PAIRED_TARGETS:
+            some = np.linspace(0, len(targets) - 1, _PAIRED_TARGETS).astype(np.int64)
+            targets = targets[some]
         if not len(targets) or not len(support):
             return None
         # Sparse, because the order of sums in a dense product depends on the number of threads.
@@ -169,16 +172,6 @@ class Tree(BestFirst):
         best = int(np.argmax(fraction * np.maximum(weight, 1e-9)))
         return choices_of_both(cuts.by_target, targets[first[best]], targets[second[best]], free)
 
-    def _fractional_targets(self, count: Floats) -> Ints:
-        """Some targets that free choices see in part or just once, spread over all of them."""
-        near = np.flatnonzero((count > _FRACTION) & (count < 1 + _WHOLE))
-        near = near[self.master.cuts.weight[near] > 0] if not self.deployment.complete else near
-        if len(near) <= _PAIRED_TARGETS:
-            return near
-        return near[np.linspace(0, len(near) - 1, _PAIRED_TARGETS).astype(np.int64)]
-
-
-# Linear relaxation of a deployment by cuts, kept between nodes of the search tree.
 
 # Constraints of the linear program above which slack cuts leave between nodes.
 MOST_CONSTRAINTS = 1_200
@@ -260,12 +253,21 @@ class Master:
 
     def solve(self, node: Node, goal: float, deadline: Deadline, rounds: int) -> Relaxed:
         """Solve at a node until no cut is violated, the bound exceeds ``goal`` or rounds end."""
-        self._enter(node)
+        low = np.concatenate([node.fixed, np.zeros(self.cuts.blocks)]).astype(np.float64)
+        high = np.concatenate([node.alive, self._high[self.choices :]]).astype(np.float64)
+        self._highs.changeColsBounds(self.variables, self._number, low, high)
+        branch = np.array(self._branch, np.int64)
+        self._delete((branch >= 0) & ~np.isin(branch, node.path))
+        present = set(self._branch)
+        for number in node.path:
+            if number not in present:
+                self.add([self.branches[number]], number)
         limit = goal - self.constant
         self._highs.setOptionValue("objective_bound", float(min(limit + _SLACK, 1e200)))
         best = -np.inf
         for turn in range(rounds):
-            self._run(deadline)
+            deadline.spend(run_simplex(self._highs, deadline))
+            deadline.spend(_SEARCH_S * self.cuts.by_choice.nnz)
             if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
                 return self._stopped(np.inf)
             answer = self._read(node)
@@ -292,10 +294,6 @@ class Master:
         slack[: self._kept] = False
         self._delete(slack & (np.array(self._branch) < 0))
 
-    def _run(self, deadline: Deadline) -> None:
-        deadline.spend(run_simplex(self._highs, deadline))
-        deadline.spend(_SEARCH_S * self.cuts.by_choice.nnz)
-
     def _stopped(self, bound: float) -> Relaxed:
         nothing = np.zeros(self.choices)
         return Relaxed(bound, nothing, nothing, False, False)
@@ -318,18 +316,6 @@ class Master:
         bound += float(rest.sum()) - ROUNDING * (size + float(np.abs(rest).sum()))
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
         return Relaxed(float(bound), x[: self.choices], reduced[: self.choices], False, optimal)
-
-    def _enter(self, node: Node) -> None:
-        """Bounds and branch constraints of a node."""
-        low = np.concatenate([node.fixed, np.zeros(self.cuts.blocks)]).astype(np.float64)
-        high = np.concatenate([node.alive, self._high[self.choices :]]).astype(np.float64)
-        self._highs.changeColsBounds(self.variables, self._number, low, high)
-        branch = np.array(self._branch, np.int64)
-        self._delete((branch >= 0) & ~np.isin(branch, node.path))
-        present = set(self._branch)
-        for number in node.path:
-            if number not in present:
-                self.add([self.branches[number]], number)
 
     def _delete(self, gone: Bools) -> None:
         if gone.any():
