@@ -19,6 +19,7 @@ from roadsight.base.sections.placement import Candidates
 # (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
 _ROOF_SHARE = 0.6
 _ROOF_CELLS = 4  # along either side of that plan, a square as wide as the search radius reaches
+_ASIDE_M = 3.0  # how far to either side of an edge pavement is looked for
 _ROOF_PERCENTILE = 5  # of a roof's heights, where it begins: stray points may hang lower
 
 
@@ -84,9 +85,7 @@ def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: Candidat
     return float(np.percentile(point_heights_m[above], _ROOF_PERCENTILE))
 
 
-def facing_deg(
-    xy_m: Floats, direction: Floats, pavement: MultiPolygon, reach_m: float = 3.0
-) -> Floats:
+def facing_deg(xy_m: Floats, direction: Floats, pavement: MultiPolygon) -> Floats:
     """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
 
     Where both sides or neither side are pavement (medians, digitised lines off the road), the left
@@ -98,7 +97,7 @@ def facing_deg(
     """
     left = np.column_stack([-direction[:, 1], direction[:, 0]])
     on_left, on_right = (
-        shapely.contains_xy(pavement, *(xy_m + sign * reach_m * left).T) for sign in (1, -1)
+        shapely.contains_xy(pavement, *(xy_m + sign * _ASIDE_M * left).T) for sign in (1, -1)
     )
     normal = np.where((on_right & ~on_left)[:, None], -left, left)
     # Adding zero turns -0.0 into 0.0, so that the west is always +180.

@@ -87,8 +87,9 @@ def solve_deployment(
     proof, nodes, pool = floor, 0, pool or []
     if floor <= deployment.goal(builder.value):
         master = Master(builder.cuts, pool)
-        tree = Tree(master, builder, gap).run(floor, deadline)
-        proof, nodes, pool = tree.bound, tree.nodes, master.pool()
+        tree = Tree(master, builder, gap)
+        proof = tree.run(floor, deadline)
+        nodes, pool = tree.nodes, master.pool()
     if builder.best is None and math.isfinite(proof):
         if (allowed := any_allowed(deployment, deadline)) is None:
             return Deployed(infeasible(start), pool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -44,14 +44,6 @@ _PAIRED_TARGETS = 80  # targets that are compared in pairs; a larger number take
 _FRACTION = 0.02
 
 
-@dataclass(frozen=True)
-class Proof:
-    """Proven bound of the objective, and the nodes of the tree."""
-
-    bound: float
-    nodes: int
-
-
 class Tree(BestFirst):
     """Tree over the relaxation of a deployment."""
 
@@ -65,12 +57,15 @@ class Tree(BestFirst):
         """Largest bound that still allows a better deployment."""
         return self.deployment.goal(self.builder.value)
 
-    def run(self, floor: float, deadline: Deadline) -> Proof:
-        """Search until proven, within the gap or out of work; ``floor``: a bound known before."""
+    def run(self, floor: float, deadline: Deadline) -> float:
+        """Proven bound: until nothing is better, within the gap or out of work.
+
+        ``floor`` : a bound known before.
+        """
         problem = self.deployment.problem
         start = Node(~problem.forbidden, problem.mandatory.copy())
         bound = self.prove(start, floor, deadline)
-        return Proof(max(self.builder.value, floor) if bound is None else bound, self.nodes)
+        return max(self.builder.value, floor) if bound is None else bound
 
     def round_up(self, bound: float) -> float:
         """Bound lifted to the next possible objective."""
@@ -188,13 +183,12 @@ class Relaxed:
     ----------
     bound : Lagrangian bound of the duals: valid whatever the solver's tolerances.
     x : (m,) share of each choice. reduced_cost : (m,) of the same duals.
-    settled : whether no cut is violated. complete : False where the goal or the limit stopped it.
+    complete : False where the goal or the limit stopped it.
     """
 
     bound: float
     x: Floats
     reduced_cost: Floats
-    settled: bool
     complete: bool
 
 
@@ -273,11 +267,11 @@ class Master:
             answer = self._read(node)
             best = max(best, answer.bound)
             if best > goal or not answer.complete or deadline.passed():
-                return Relaxed(best, answer.x, answer.reduced_cost, False, False)
+                return replace(answer, bound=best, complete=False)
             value = np.array(self._highs.getSolution().col_value)[self.choices :]
             found = self.cuts.violated(answer.x, value)
             if not found or turn == rounds - 1:
-                return Relaxed(best, answer.x, answer.reduced_cost, not found, True)
+                return replace(answer, bound=best)
             self.add(found)
         raise AssertionError("at least one round")
 
@@ -296,7 +290,7 @@ class Master:
 
     def _stopped(self, bound: float) -> Relaxed:
         nothing = np.zeros(self.choices)
-        return Relaxed(bound, nothing, nothing, False, False)
+        return Relaxed(bound, nothing, nothing, False)
 
     def _read(self, node: Node) -> Relaxed:
         raw = self._highs.getSolution()
@@ -315,7 +309,7 @@ class Master:
         rest = np.where(reduced > 0, reduced * low, reduced * high)
         bound += float(rest.sum()) - ROUNDING * (size + float(np.abs(rest).sum()))
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
-        return Relaxed(float(bound), x[: self.choices], reduced[: self.choices], False, optimal)
+        return Relaxed(float(bound), x[: self.choices], reduced[: self.choices], optimal)
 
     def _delete(self, gone: Bools) -> None:
         if gone.any():
