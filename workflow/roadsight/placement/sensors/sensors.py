@@ -28,7 +28,7 @@ __all__ = [
     "panorama_name",
     "what_it_sees",
 ]
-AnySensor = Sensor | AimedSensor  # A sensor of any kind
+AnySensor = Sensor | AimedSensor  # a sensor of any kind
 # Schema of each kind of sensor.
 KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
     "spinning": Sensor,

@@ -21,7 +21,7 @@ from roadsight.placement.sensors.sensors import Sensor
 _USUAL = Targets()
 # A target is seen when more beams than this return from it (paper 1, Table 3).
 MIN_BEAMS = _USUAL.min_beams
-_TOUCH_M = 1e-9  # A sensor this near to a target's side touches it and counts as inside
+_TOUCH_M = 1e-9  # a sensor this near to a target's side touches it and counts as inside
 
 
 def count_hits(

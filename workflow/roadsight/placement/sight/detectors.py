@@ -1,6 +1,6 @@
 """How well sensors of all kinds see targets: one question to a sensor in a pose.
 
-A `Detector` measures targets of any shape in a unit of its own, and says from where on one is seen.
+A detector measures targets of any shape in a unit of its own, and says from where on one is seen.
 Solid-state LiDARs count expected points, cameras pixels, radars the echo over what they need.
 Spinning LiDARs in a pose count beams; as mounted they have depth maps of their own
 (`roadsight.placement.sight.sight`).
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -45,29 +44,9 @@ class Criteria:
     min_pixels: int | None = None
 
 
-class Detector(Protocol):
-    """A sensor of some kind."""
-
-    @property
-    def unit(self) -> str:
-        """What is measured, for people."""
-
-    def measure(
-        self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
-    ) -> Floats:
-        """How well each target (n,) is seen, 0 for not at all.
-
-        Parameters
-        ----------
-        rotation : (3, 3) whose columns are the sensor's axes in the local frame.
-        feet_m : (n, 3) local metres. shape : of every target. sight : effects.
-        """
-
-    def sees(self, measured: Floats) -> Bools:
-        """Which targets (n,) count as seen."""
-
-
-def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
+def detector_of(
+    sensor: AnySensor, criteria: Criteria
+) -> BeamDetector | CameraDetector | RadarDetector:
     """The detector of a sensor."""
     if isinstance(sensor, Camera):
         return CameraDetector(camera_raster(sensor), criteria.min_pixels or sensor.min_pixels)
@@ -93,7 +72,13 @@ class BandedDetector(ABC):
     def measure(
         self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
-        """How well each target (n,) is seen, as `Detector.measure`."""
+        """How well each target (n,) is seen, 0 for not at all.
+
+        Parameters
+        ----------
+        rotation : (3, 3) whose columns are the sensor's axes in the local frame.
+        feet_m : (n, 3) local metres. shape : of every target. sight : effects.
+        """
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
     def by_height(

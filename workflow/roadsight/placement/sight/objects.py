@@ -20,15 +20,15 @@ _CELL_M = 0.4
 _FEWEST = 4
 _TOGETHER = 3  # surfels in a cube of 0.8 m whose normals are compared
 _POLE_WIDE_M = 0.5  # nine tenths of a pole's surfels lie so near its axis
-_POLE_M = 2.5  # A pole is so high at least
+_POLE_M = 2.5  # a pole is so high at least
 _SIGN_THICK_M = 0.15  # standard deviation of a sign's points across its panel, at most
-_SIGN_LONG_M = 5.0  # A sign is so long at most, post and panel
-_BARRIER_M = 1.6  # A barrier is so high at most: walls against noise are buildings here
-_BARRIER_LONG_M = 4.0  # A barrier is so long at least, and four times as long as wide
+_SIGN_LONG_M = 5.0  # a sign is so long at most, post and panel
+_BARRIER_M = 1.6  # a barrier is so high at most: walls against noise are buildings here
+_BARRIER_LONG_M = 4.0  # a barrier is so long at least, and four times as long as wide
 # Agreement of normals within a cube below which it is foliage: walls have 0.9 and more, crowns of
 # the generated roads 0.5 to 0.75.
 _LEAFY = 0.8
-_TREE_M = 1.5  # A tree is so high at least; what is leafy and lower is a bush. Signs are as high.
+_TREE_M = 1.5  # a tree is so high at least; what is leafy and lower is a bush. Signs are as high.
 _BUILDING_M2 = 4.0  # footprint of a building or another structure, at least
 # What is told of an object.
 _OBJECT = ["name", "kind", "x", "y", "z", "height_m", "length_m", "surfels"]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from pandas.core.groupby import DataFrameGroupBy
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
@@ -26,7 +27,7 @@ ObjectsAt = Callable[[Floats], NDArray[np.object_]]
 Cast = Callable[[Floats, Floats], Floats]
 # Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
-_NEAR_M = 0.4  # A hit this near to the target is the pavement or the target's own surroundings
+_NEAR_M = 0.4  # a hit this near to the target is the pavement or the target's own surroundings
 CUBE_M = 1.0  # edge of the cubes in which obstacles are gathered
 NEAREST = 8  # candidates at which an uncovered target is judged
 # What is told of the sight lines of a pair.
@@ -90,7 +91,14 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     lines = lines[lines["blocked_share"] > 0]
     keys = [(lines[f"obstacle_{axis}"] // CUBE_M).rename(axis) for axis in "xyz"]
     groups = lines.groupby(keys, sort=True)
-    table = pd.DataFrame(
+    table = _hidden_by(groups)
+    table["target"], table["candidate"] = groups["target"].first(), groups["candidate"].first()
+    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
+
+
+def _hidden_by(groups: DataFrameGroupBy) -> pd.DataFrame:
+    """What hits of each group hide: their mean place, sight lines, distinct targets and sensors."""
+    return pd.DataFrame(
         {
             "x": groups["obstacle_x"].mean(),
             "y": groups["obstacle_y"].mean(),
@@ -98,11 +106,8 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
             "sight_lines": groups.size(),
             "targets": groups["target"].nunique(),
             "sensors": groups["candidate"].nunique(),
-            "target": groups["target"].first(),
-            "candidate": groups["candidate"].first(),
         }
     )
-    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
 # A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size.
@@ -150,17 +155,7 @@ def by_object(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
     if hits.empty:
         names = ["object", "x", "y", "z", "sight_lines", "targets", "sensors"]
         return pd.DataFrame(columns=names)
-    groups = hits.groupby("object", sort=True)
-    table = pd.DataFrame(
-        {
-            "x": groups["obstacle_x"].mean(),
-            "y": groups["obstacle_y"].mean(),
-            "z": groups["obstacle_z"].mean(),
-            "sight_lines": groups.size(),
-            "targets": groups["target"].nunique(),
-            "sensors": groups["candidate"].nunique(),
-        }
-    ).reset_index()
+    table = _hidden_by(hits.groupby("object", sort=True)).reset_index()
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 

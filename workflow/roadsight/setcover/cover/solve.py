@@ -84,11 +84,6 @@ class _Solved:
     short: bool
 
     @property
-    def proven(self) -> bool:
-        """Whether nothing cheaper is left."""
-        return _proven(self.part, self.outcome.best, self.outcome.bound)
-
-    @property
     def impossible(self) -> bool:
         """Whether there is no cover."""
         return self.outcome.best is None and not np.isfinite(self.outcome.bound)
@@ -262,7 +257,7 @@ def _assemble(
 ) -> Cover:
     """Answer of the whole problem from those of its parts."""
     found = all(one.outcome.best is not None for one in solved)
-    proven = all(one.proven for one in solved)
+    proven = all(_proven(one.part, one.outcome.best, one.outcome.bound) for one in solved)
     base = math.fsum(problem.costs[reduced.taken])
     bound = base + math.fsum(one.outcome.bound * one.part.step for one in solved)
     taken = [one.part.choice[one.outcome.best] for one in solved if one.outcome.best is not None]
