@@ -99,8 +99,7 @@ def occurrences(per: str, circumstances: Circumstances) -> float:
 
 # The placement job.
 
-# Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four.
-_NEAREST_LANES = 2.0
+_NEAREST_LANES = 2.0  # between sensor and target of `moving_vehicles`: one direction of four lanes
 
 
 def hole_filling(site: Circumstances) -> Quantity:

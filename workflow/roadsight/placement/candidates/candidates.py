@@ -171,8 +171,7 @@ def stack_candidates(
     return stacked
 
 
-# The edge's direction at a station is taken from this far behind it to this far ahead.
-_TANGENT_M = 0.5
+_TANGENT_M = 0.5  # the edge's direction is taken from this far behind a station to this far ahead
 
 
 def positions_along(
@@ -241,17 +240,14 @@ _WIDE_ROOF_SHARE = 0.6
 # The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m; of
 # a crown with a radius of 2.5 m, half of the cells do.
 _ROOF_SPREAD_M = 0.5
-# Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick.
-_THIN_SHARE = 0.35
+_THIN_SHARE = 0.35  # of the cells, those where a roof is thin at least: crowns are metres thick
 _SECTORS = 16  # directions in which walls are looked for
 # Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
 # of them have one, in a corner three quarters, between the faces of a wall nearly all.
 _WALL_SHARE = 0.8
 _BAND_M = 0.5  # points so far above and below a place count as walls at its height
-# A mast has measured ground so near: a foundation, and the shadow of a rail or of half a car.
-FOOT_M = 1.5
-# Spacings of the ground points within which one lies for certain, where that is more.
-_FOOT_SPACINGS = 2.0
+FOOT_M = 1.5  # a mast has measured ground so near: a foundation, the shadow of a rail or half a car
+_FOOT_SPACINGS = 2.0  # or within so many spacings of the ground points, where that is more
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ Length = Annotated[float, Field(ge=0, le=1000)]
 Money = Annotated[float, Field(ge=0, le=1e12)]
 # A cabinet farther than this from every candidate is on another site: cables are of some 100 m.
 _OFF_SITE_M = 2000.0
-# Distances are sums of steps: rounding must not put one beyond the limit that it stands for.
-_ROUNDING_M = 1e-6
+_ROUNDING_M = 1e-6  # distances are sums of steps: rounding must not put one beyond its limit
 
 
 class Mounting(Section):

@@ -24,8 +24,7 @@ _TANGENT_M = 2.0
 # decisions on an OS-128's targets were wrong for 2.1 % at 9 points/m2, 8.7 % at 4 and 1.5 % at 71
 # (`docs/placement/depth-maps.md`).
 _SPACINGS_WIDE = 1.5
-# Fewest points of a cell, however wide targets are: their median is no single stray point.
-_FEWEST_POINTS = 3
+_FEWEST_POINTS = 3  # of a cell, however wide targets are: their median is no single stray point
 # Of the points that cells nearby have, the least that a cell must have. Fewer are a hole in the
 # scan, a shadow behind a parked car or a cell that the pavement hardly enters.
 _LOCAL_SHARE = 0.25

@@ -146,8 +146,7 @@ def _least(
 # Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
 # found stays the same.
 _BINS_IN_REACH = 6
-# Points this near to the beam are on it: the inverse of their distance means nothing.
-_ON_BEAM_M = 1e-9
+_ON_BEAM_M = 1e-9  # nearer points are on the beam: the inverse of their distance means nothing
 
 
 class Spherical(NamedTuple):

@@ -32,8 +32,7 @@ TILE_CELLS = 720  # columns of a map that the network refines at once: bounds th
 # How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
 # field of view of -22.5 to 22.5.
 _CONTEXT_DEG = 2.5
-# Ranges of neighbouring cells that differ by a greater share are of two surfaces.
-_LARGEST_STEP = 0.05
+_LARGEST_STEP = 0.05  # neighbouring ranges that differ by a greater share are of two surfaces
 
 
 def unet_depth(

@@ -19,8 +19,7 @@ from roadsight.base.arrays import Bools, Floats
 _BEAMS = 25  # neighbouring beams of a plane: a window of 5 by 5
 _THICK_M = 0.05  # thickness of a plane, at most: the noise of cloud and LiDAR, and grass
 _FLAT = 0.2  # the same by its width: what is thicker is a crown, an edge or a rod
-# Points that are registered, evenly drawn: more of them move the pose by less than 1 mm.
-_POINTS = 6_000
+_POINTS = 6_000  # points that are registered, evenly drawn: more move the pose by less than 1 mm
 _HEADINGS = 36  # headings that are tried first, all around
 _KEPT_HEADINGS = 3  # so many of them, those that agree best, are registered
 # How near a plane a point must lie to count, from coarse to fine: a sensor that stands where it was
@@ -30,8 +29,7 @@ _STEPS = 12  # steps of registration at each
 # A beam agrees if it ends this near the planned beams around it: three times the noise of a LiDAR
 # and a cloud together, and the height of a kerb.
 AGREE_M = 0.15
-# Steps between beams that a measured one may lie away from a planned one that returned.
-_ASIDE = 2.0
+_ASIDE = 2.0  # steps between beams that a measured one may lie from a planned one that returned
 # Weight of points in no plane: each is drawn to the point of its own beam, not where it belongs, so
 # that they only hold what no plane does.
 _LOOSE = 0.01

@@ -23,8 +23,7 @@ from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.second import chosen_again
 from roadsight.setcover.plans.whole import solve_whole
 
-# Interchangeable positions named for each sensor; how many there are is told in any case.
-_LISTED = 50
+_LISTED = 50  # interchangeable positions named for each sensor; their number is told in any case
 # A cover of the same cost that is better in another way.
 Better = Callable[[Deployment, Cover], Cover]
 

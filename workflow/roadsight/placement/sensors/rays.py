@@ -133,8 +133,7 @@ _ROSETTE_CELL_DEG = 0.1  # cells in which a rosette's expected points are gather
 # Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
 # the axis.
 _ROSETTE_PARTS = 4
-# Cells that tell which part of a target a radar's beam meets: far finer than its resolution.
-_RADAR_CELL_DEG = 0.02
+_RADAR_CELL_DEG = 0.02  # cells tell which part of a target is met: far finer than the resolution
 _MOST_FINE = 24  # pixels of a camera and cells of a rosette looked at along either axis of a target
 _MOST_RADAR = 16  # the same for radars, of which only the part of a target that is met counts
 _ALL = 1 << 30  # more than any sensor has: every beam of a spinning LiDAR is looked at

@@ -37,8 +37,7 @@ KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
     "radar": Radar,
 }
 _PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")  # step and range, see `panorama_name`
-# Highest elevation of a panorama: targets stand on the road, hardly ever above their sensor.
-_PANORAMA_TOP_DEG = 20.0
+_PANORAMA_TOP_DEG = 20.0  # highest elevation: targets are hardly ever above their sensor
 
 
 # Keys of a spinning LiDAR, of which the first go where one of the second is given: each pair says

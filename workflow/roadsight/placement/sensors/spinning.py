@@ -16,10 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
-# Beams of a sensor; more is a slip of a step, and its depth maps would not fit into memory.
-_MAX_BEAMS = 20_000_000
-# Share by which points a second may exceed their limit: a step rounded to three digits.
-_POINTS_ROUNDING = 1e-3
+_MAX_BEAMS = 20_000_000  # more is a slip of a step, and depth maps would not fit into memory
+_POINTS_ROUNDING = 1e-3  # share beyond points_per_s that is allowed: steps have three digits
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]

@@ -18,10 +18,8 @@ from roadsight.placement.sight.lanes import Traffic
 # Of more sensors that see a target, those with the greatest free shares count: work doubles with
 # each sensor.
 MOST_SENSORS = 12
-# Spans kept of one line of sight, of all lanes and classes together; any more are left out.
-_MOST_SPANS = 64
-# Steps along lines of sight in plan: those of `free_shares`, so that both walk alike.
-_STEP_M = 0.25
+_MOST_SPANS = 64  # of one line of sight, of all lanes and classes; any more are left out
+_STEP_M = 0.25  # steps along lines of sight in plan: those of `free_shares`, so that both agree
 
 
 def spans_in_the_way(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> list[Floats]:

@@ -19,8 +19,7 @@ from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 
 _USUAL = Targets()
-# A target is seen when more beams than this return from it (paper 1, Table 3).
-MIN_BEAMS = _USUAL.min_beams
+MIN_BEAMS = _USUAL.min_beams  # a target is seen when more beams return (paper 1, Table 3)
 _TOUCH_M = 1e-9  # a sensor this near to a target's side touches it and counts as inside
 
 

@@ -16,8 +16,7 @@ from roadsight.scene.grids import Grid
 
 _STATION_M = 2.0  # distance of a lane's points
 _ACROSS_M = 40.0  # how far across an edge, to either side, carriageways are looked for
-# The edge's direction at a station is taken from this far behind it to this far ahead.
-_TANGENT_M = 1.0
+_TANGENT_M = 1.0  # the edge's direction is taken from this far behind a station to this far ahead
 _SHOULDERS_M = 1.0  # width of pavement, both sides together, that carries no lane
 _CELL_M = 0.5  # cells of the raster of lanes: fine against the width of vehicles
 _STEP_M = 0.25  # steps along lines of sight in plan, half a cell: hardly a cell is stepped over
@@ -244,8 +243,7 @@ def _expected(
     return expected
 
 
-# Carriageways of one road are no farther apart, and all of them lie within twice of it.
-_APART_M = 40.0
+_APART_M = 40.0  # carriageways of one road are no farther apart, and all within twice of it
 # Cosine of the angle up to which directions are about the same.
 _PARALLEL = float(np.cos(np.radians(20.0)))
 # Along the road, half the distance of a lane's points and a little for rounding: every lane abreast
@@ -254,8 +252,7 @@ _BESIDE_M = 1.0 + 1e-6
 _ALONGSIDE_SHARE = 0.5  # share of new lanes' points that must run along a road for them to be its
 # Places of a road at which lanes abreast are counted; their median needs no more.
 _MOST_SAMPLES = 400
-# Nearest known points that are looked at; the nearest of them may be of a road that crosses.
-_NEIGHBOURS = 16
+_NEIGHBOURS = 16  # nearest known points that are looked at; the nearest may be of a crossing road
 
 
 def road_alongside(points: pd.DataFrame, known: pd.DataFrame) -> int | None:

@@ -16,8 +16,7 @@ LOWEST_M = 0.3  # surfels lower than this above the ground are ground: a kerb, g
 # Surfels in the same or in touching cubes of this edge belong together: more than the spacing of
 # leaves and rails in a scan of 20 points/m2, less than the gap between two posts.
 _CELL_M = 0.4
-# Places of surfels of an object; fewer are stray. One return has three surfels at its place.
-_FEWEST = 4
+_FEWEST = 4  # places of surfels of an object; fewer are stray. One return has three at its place.
 _TOGETHER = 3  # surfels in a cube of 0.8 m whose normals are compared
 _POLE_WIDE_M = 0.5  # nine tenths of a pole's surfels lie so near its axis
 _POLE_M = 2.5  # a pole is so high at least

@@ -110,8 +110,7 @@ def _hidden_by(groups: DataFrameGroupBy) -> pd.DataFrame:
     )
 
 
-# A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size.
-OBJECT_NEAR_M = 0.6
+OBJECT_NEAR_M = 0.6  # a hit is of an object with a surfel so near: half a cube and a surfel's size
 
 
 def object_finder(members: pd.DataFrame) -> ObjectsAt:

@@ -19,18 +19,14 @@ from roadsight.base.kernels import compiled, compiled_part
 
 _PARTNERS = 5  # descents begin at each target with so many others; more of them take time
 _CUTS = 60  # most cuts of a round; 100 were tried and did not pay
-# Most targets of a set: longer cuts have more entries, and the relaxation's steps take longer.
-_LONGEST = 20
+_LONGEST = 20  # most targets of a set: longer cuts slow the relaxation's steps
 _BROKEN = 0.02  # least that a cut is broken by, of its right side of 2: less hardly moves the bound
 # A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
 # rounding of sums must not let a descent go in circles.
 _EVEN = 1e-4
-# Least distance of a pair's common share from 0 and 1: one nearer is next to decided already.
-_APART = 0.05
-# Entries of the pattern that all descents of a round may look at, about a second of work.
-_MOST_MOVES = 3e9
-# Steps of a descent, about: by them and `_MOST_MOVES` it is told how many pairs can begin.
-_STEPS = 6
+_APART = 0.05  # least distance of a pair's common share from 0 and 1: nearer is next to decided
+_MOST_MOVES = 3e9  # entries that all descents of a round may look at, about a second of work
+_STEPS = 6  # of a descent, about: with `_MOST_MOVES` they say how many pairs can begin
 _MOVE_S = 3e-10  # work by entry that a descent looks at, in seconds, measured
 _READ_S = 1.5e-7  # work by entry of the constraints, in seconds, measured
 
@@ -147,17 +143,12 @@ def _try(
 # broken as soon as the choices with an odd sum have shares of less than 1 together, by half of
 # what is missing.
 
-# Each constraint may join or leave a set together with so many that differ from it least.
-_NEIGHBOURS = 10
+_NEIGHBOURS = 10  # those that differ from a constraint least may join or leave a set with it
 _STARTS = 250  # most constraints that a descent begins at, spread over all: what they find overlaps
-# Most constraints of a set: longer cuts have more entries, and the relaxation's steps take longer.
-_LONGEST_SUM = 40
-# Sum of right sides that no set may reach: cuts are made of cuts, and values must not grow.
-_LARGEST_LOW = 1000.0
-# Cuts count where choices of odd sum share less than this, so that they are broken by 0.025.
-_ODD_SHARE = 0.95
-# Moves that change the odd share by less than this are level: they neither gain nor lose.
-_LEVEL = 1e-3
+_LONGEST_SUM = 40  # most constraints of a set: longer cuts slow the relaxation's steps
+_LARGEST_LOW = 1000.0  # sum of right sides that no set may reach: cuts are made of cuts
+_ODD_SHARE = 0.95  # choices of odd sum share less than this: cuts are broken by 0.025
+_LEVEL = 1e-3  # moves that change the odd share by less than this neither gain nor lose
 _CHANGE_S = 7e-10  # work by choice that a move changes, in seconds, measured
 
 

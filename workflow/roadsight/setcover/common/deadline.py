@@ -12,8 +12,7 @@ from roadsight.setcover.common.problem import OWN
 # unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway)
 # move after 1, 2, 8 and 35 s of work, about four times later each time.
 _LEAST_PATIENCE_S = 30.0
-# Most steps that are allowed at once: the largest limit that solvers take as 32-bit integer.
-_MANY = 2**31 - 1
+_MANY = 2**31 - 1  # most steps allowed at once: the largest limit that solvers take (32 bits)
 
 
 class Deadline:

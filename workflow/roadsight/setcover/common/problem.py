@@ -21,8 +21,7 @@ _MOST_PARTS = 2**20
 # Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and sums
 # of thousands of costs must be among them.
 _LARGEST = 2.0**40
-# Share of a cost within which it is a whole multiple of a step: some roundings of floats.
-_WHOLE = 2.0**-48
+_WHOLE = 2.0**-48  # share of a cost within which it is a multiple of a step: some roundings
 NEAR = 1e-7  # share of its cost to which a cover is proven where costs have no common step
 
 

@@ -17,15 +17,12 @@ from roadsight.setcover.common.problem import Instance, power_of_two
 # Targets to begin with, those that the fewest choices cover. Once more than so many constraints are
 # in, slack targets leave.
 FIRST_TARGETS = 300
-# Most targets that join at once, the most broken ones: more of them make fewer, longer rounds.
-ADDED_TARGETS = 60
+ADDED_TARGETS = 60  # that join at once, the most broken ones: more make fewer, longer rounds
 # So many broken targets, evenly spaced, are compared before the most broken of them join:
 # neighbours say the same.
 COMPARED_TARGETS = 400
-# Constraints of a linear program that all stay from node to node; of more, slack targets leave.
-MOST_CONSTRAINTS = 400
-# What breaks a constraint, and what makes it slack: ten times the solver's own tolerance.
-_TOLERANCE = 1e-6
+MOST_CONSTRAINTS = 400  # that all stay from node to node; of more, slack targets leave
+_TOLERANCE = 1e-6  # what breaks a constraint or makes it slack: ten times the solver's tolerance
 # Targets that are seen by this more than they need leave while the relaxation is solved: 1,088
 # constraints became 365 on the hardest corridor, and the simplex method's steps take time by them.
 _LOOSE = 0.02

@@ -24,21 +24,17 @@ _NODE_CUTS = 2  # most rounds of cuts at a node of the tree, where dividing does
 # channels (25 sensors, bound 18 instead of 19).
 _LONG_SEARCH = 4
 _PATIENCE = 3  # rounds whose rise is looked at together: single ones may stand still
-# Rounds of cuts end where they raise the bound by less than this share of what is missing.
-_LEAST_RISE = 0.05
+_LEAST_RISE = 0.05  # cuts end where a round closes less than this share of what is missing
 # So many mean costs before the goal the relaxation stops for enumeration: there, bounds often stand
 # still on a whole number for thousands of simplex steps.
 _NEAR = 0.1
 # Least slack for enumeration, in mean costs. Exactly at the goal, where 1,604 choices had no
 # reduced cost, it excluded 5 of 659 nodes.
 _LEAST_SLACK = 1e-3
-# Most slack for enumeration below the root, in mean costs: a node has to be quick.
-_NODE_SLACK = 0.15
-# Most slack for enumeration at the root, in mean costs: its work grows steeply with the slack.
-_ROOT_SLACK = 0.5
+_NODE_SLACK = 0.15  # most slack for enumeration below the root, in mean costs: nodes must be quick
+_ROOT_SLACK = 0.5  # the same at the root: its work grows steeply with the slack
 _ENUMERATED = 0.25  # share of the relaxation's work that enumerations may take
-# Enumeration is tried again at a node once the slack is this share of the last one tried.
-_LESS_SLACK = 0.85
+_LESS_SLACK = 0.85  # it is tried again at a node once the slack is this share of the last one tried
 
 
 class Closing:

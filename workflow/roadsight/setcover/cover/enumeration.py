@@ -26,8 +26,7 @@ from roadsight.setcover.common.relaxation import Node, Solution
 _MOST_CHOICES = 4_096  # pairs of more choices would take more than 2 MiB of bits
 _MOST_WORDS = 2**23  # most words of 64 bits that targets and depths may take: 64 MiB
 _PRICED = 1e-9  # targets of a dual above this have a price
-# Targets that the shares cover by less than this above their need are looked at before others.
-_TIGHT = 0.02
+_TIGHT = 0.02  # targets that shares cover by less than this above their need come first
 _TOLERANCE = 1e-7  # room for rounding in slack and money: a cover of exactly the goal must be found
 _MOVE_S = 2e-9  # work by word or entry that is looked at, in seconds, measured
 _ENTRY_S = 1e-8  # work by entry that is set up, in seconds, measured

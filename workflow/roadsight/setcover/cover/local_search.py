@@ -435,14 +435,12 @@ CHEAP_CHOICES = 10
 _CHEAP_BURSTS = 3
 _BURST_S = 0.25  # work of a burst: looking for targets and choices anew takes a hundredth of it
 _BURST_STEPS = 20_000  # steps between two looks at the work
-# Work of the proof before it shares: the ten corridors of the benchmark are proven about then.
-_HEAD_S = 2.0
+_HEAD_S = 2.0  # work of the proof before it shares: ten corridors are proven about then
 # So many mean costs between cover and bound, the search goes ahead of the proof: cuts close less in
 # seconds, and each cut is chosen for the cover known.
 _AHEAD_SPARE = 3.0
 _AHEAD_SHARE = 0.25  # share of the time left that it may take ahead of the proof
-# Work ahead of the proof without a find that ends it, more after late finds (see below).
-_AHEAD_S = 0.3
+_AHEAD_S = 0.3  # work ahead of the proof without a find that ends it, more after late finds
 _BESIDE_S = 10.0  # the same beside the proof
 _PATIENCE = 4.0  # it goes on for so many times the work that its last find took, too
 

@@ -25,10 +25,8 @@ from roadsight.setcover.common.tree import (
 from roadsight.setcover.cover.closing import Closing
 from roadsight.setcover.cover.local_search import LocalSearch, LongSearch
 
-# Shares nearer than this to a whole number are whole: ten times the solver's own tolerance.
-_WHOLE = 1e-6
-# Nodes of a tree before local search is tried again: smaller trees end soon by themselves.
-_FIRST_RETRY = 32
+_WHOLE = 1e-6  # shares nearer to a whole number are whole: ten times the solver's tolerance
+_FIRST_RETRY = 32  # nodes before local search is tried again: smaller trees end soon
 # Steps of local search by node of the tree, each time the tree has doubled. More of them take work
 # from the proof, fewer leave the tree to refute covers that local search would have found.
 _STEPS_PER_NODE = 400
@@ -215,8 +213,7 @@ class Search(BestFirst):
 # Share of all targets that is still a core: with more of them the proof is hardly easier, and may
 # have to begin again once other targets join.
 _LARGEST_SHARE = 0.5
-# Steps of local search after a cover of the core that leaves targets open, which join it.
-_STEPS = 2_000
+_STEPS = 2_000  # steps of local search after a cover of the core that leaves targets open
 # Outcome of an instance: its best cover, or any that costs less than a ceiling.
 SolvePart = Callable[[Instance, Deadline, float], Outcome]
 

@@ -288,12 +288,9 @@ def _assemble(
 # holds, and neighbours that are nearly alike. Where few entries are left, HiGHS has more to
 # branch with: pseudo-costs, conflicts, cuts of many families.
 
-# Entries of the matrix that reduced costs leave, up to which HiGHS branches better.
-_MOST_ENTRIES = 60_000
-# HiGHS's own: coefficients are 1, and with 1e-9 the same trees took up to three times as long.
-_TREE_TOLERANCE = 1e-6
-# Choices of mean cost by which cover and bound may be apart for it: no tree closes more.
-_MOST_SPARE = 6.0
+_MOST_ENTRIES = 60_000  # entries that reduced costs leave, up to which HiGHS branches better
+_TREE_TOLERANCE = 1e-6  # HiGHS's own: with 1e-9 the same trees took up to three times as long
+_MOST_SPARE = 6.0  # mean costs that cover and bound may be apart for it: no tree closes more
 
 
 def is_for_highs(instance: Instance, node: Node, best: Bools, bound: float) -> bool:
@@ -368,15 +365,12 @@ def cover_program(instance: Instance, fixed: Bools) -> Program:
 # 1 km of road took 16 s with them and 42 s with the simplex method; 250 m took that 0.9 s.
 _LARGE = 40_000_000
 _LEAST_TARGETS = 500  # the two shares below stand for so many targets at least
-# Share of all targets to begin with: drawn at random, they are spread over the road.
-_FIRST_SHARE = 1 / 12
+_FIRST_SHARE = 1 / 12  # share of all targets to begin with, drawn at random over the road
 _ADDED_SHARE = 1 / 24  # share of all targets that join at once at most
-# Targets that lack more than this are open. Interior points stop near the optimum, not at it.
-_OPEN = 1e-3
+_OPEN = 1e-3  # targets that lack more are open: interior points stop near the optimum, not at it
 _IDLE = 1e-6  # targets whose dual is no more than this leave
 _LEAST_RISE = 2e-3  # share by which a round must raise the bound to count as progress
-# Accuracy that the solver is asked for. Any duals give a bound, and the last digits cost steps.
-_ACCURACY = 1e-5
+_ACCURACY = 1e-5  # of the solver: any duals give a bound, and the last digits cost steps
 _PATIENCE = 3  # rounds without progress that end it
 _STEP_S = 3e-7  # work of a step by entry of the linear program, in seconds, measured
 

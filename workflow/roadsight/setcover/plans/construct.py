@@ -17,8 +17,7 @@ _ENTRY_S = 2e-9  # work of a fill by entry of the matrix, in seconds, measured
 _LEAST = 0.1  # least share of the best choices that a trial takes out
 _MOST = 0.5  # most of them: with more, a trial is a new greedy fill that forgets what was good
 _NEARER = 1e-2  # share of what is proven by which an answer must be better: sums are rounded
-# Factor by which an unseen target draws more in the next trial, as long as there is no answer.
-_PULL = 1.3
+_PULL = 1.3  # factor by which unseen targets draw more in the next trial, while there is no answer
 # Matrix by choice and by target, what targets weigh and need, what choices cost (``divisor``: as
 # gains are divided by it), their sets and how much each is liked.
 _Rules = namedtuple(

@@ -42,8 +42,7 @@ TOLERANCE = 1e-7  # share of a need that may be missing
 # same again.
 _SOLVED_TO = TOLERANCE / 100
 _NODES_PER_S = 40  # nodes of a solver's tree in a second of the limit, about
-# Nodes that a round costs at least: setting it up and its root take time as well.
-_NODES_OF_ROUND = 10
+_NODES_OF_ROUND = 10  # nodes that a round costs at least: its set-up and its root take time
 # The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
 # busy a machine is.
 _CLOCK_FACTOR = 20

@@ -36,15 +36,11 @@ from roadsight.setcover.plans.second_kernels import LEVELS, Rules, complete_cove
 # `second_kernels`.
 _ENTRY_S = 7.5e-9
 _ATTEMPT_S = 3e-5  # work of calling the search for some shared choices, in seconds, measured there
-# Work of putting a set of choices in its place by what each pair of it has in common, measured.
-_SET_S = 2e-7
-# Work of laying out the problem by entry of its matrix, in seconds, measured there.
-_SETUP_S = 1.5e-8
-# Up to so many sets of choices are sorted by what they have in common: those find more.
-_SORTED = 20_000
+_SET_S = 2e-7  # work of sorting a set of choices by what its pairs have in common, measured
+_SETUP_S = 1.5e-8  # work of laying out the problem by entry, in seconds, measured there
+_SORTED = 20_000  # so many sets of choices are sorted by what they have in common: those find more
 _TOLERANCE = 1e-9  # share of a sum by which two are alike
-# Share of its cost that a cover must save to be cheaper: as far as costs are proven.
-_CHEAPER = 1e-7
+_CHEAPER = 1e-7  # share of its cost that a cheaper cover must save: as far as costs are proven
 
 
 @dataclass(frozen=True)
@@ -287,13 +283,11 @@ def _rules(deployment: Deployment, money: float, limit: WorkLimit, stretch: Ints
 
 _SHARE = 4  # each of the two bounds has one of so many shares of the work that is left
 _STEPS = 400  # most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give
-# Work of a step by entry of the matrix, in seconds, measured on the generated highway.
-_STEP_ENTRY_S = 1.2e-9
+_STEP_ENTRY_S = 1.2e-9  # work of a step by entry, in seconds, measured on the generated highway
 _STEP_CHOICE_S = 1e-7  # the same by choice: they are sorted
 _REPAIR_S = 2e-8  # work of mending prices by entry of the matrix, in seconds, measured there
 _STALLED = 20  # after so many steps without a better bound, steps get shorter
-# The first step goes for a bound lower by this share: about how far bound and covers are apart.
-_NEAR = 0.1
+_NEAR = 0.1  # the first step goes for a bound lower by this share: about what it is apart
 _SHORTER = 0.7  # factor by which they do
 _LEAST_SLOPE = 1e-9  # slope (squared) below which a step leads nowhere
 

@@ -23,21 +23,16 @@ from roadsight.setcover.common.tree import (
 from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cut, Cuts
 
-# Shares nearer than this to a whole number are whole: ten times the solver's own tolerance.
-_WHOLE = 1e-6
-# Most rounds of cuts at the root: its cuts hold for the whole tree and are found once.
-_ROOT_ROUNDS = 200
-# Most rounds of cuts at other nodes; what is still violated there is left to their children.
-_ROUNDS = 12
-# Trials of the greedy search at the root: a good answer there keeps the tree small.
-_ROOT_STEPS = 200
+_WHOLE = 1e-6  # shares nearer to a whole number are whole: ten times the solver's tolerance
+_ROOT_ROUNDS = 200  # most rounds of cuts at the root: its cuts hold for the whole tree
+_ROUNDS = 12  # most at other nodes; what is still violated is left to their children
+_ROOT_STEPS = 200  # greedy trials at the root: a good answer there keeps the tree small
 _STEPS = 2  # trials by node of the tree, each time the tree has doubled
 # Most trials where the root's half of the work is out: no tree will come, so what is left goes to
 # better answers. With the two, a budget of 15 sensors sees 17,669 of 20,000 targets on 1 km of road
 # after 60 s, where it saw 16,639.
 _LAST_STEPS = 2_000
-# At so many first nodes an answer is built from the relaxation; later only as the tree doubles.
-_DIVES = 20
+_DIVES = 20  # first nodes at which answers are built from the relaxation; later as the tree doubles
 _PAIRED_TARGETS = 80  # targets that are compared in pairs; a larger number takes time by its square
 # Pairs whose common share is nearer to a whole number than this are no use: one half of the node
 # would be nearly the node itself.
@@ -168,10 +163,8 @@ class Tree(BestFirst):
         return choices_of_both(cuts.by_target, targets[first[best]], targets[second[best]], free)
 
 
-# Constraints of the linear program above which slack cuts leave between nodes.
-MOST_CONSTRAINTS = 1_200
-# Distance from a right side, and above the goal, that counts: ten times the solver's tolerance.
-_SLACK = 1e-6
+MOST_CONSTRAINTS = 1_200  # of the linear program; of more, slack cuts leave between nodes
+_SLACK = 1e-6  # from a right side, or above the goal, that counts: ten times the solver's tolerance
 _SEARCH_S = 3e-9  # work of a search for violated cuts by entry of the matrix, in seconds, measured
 
 
