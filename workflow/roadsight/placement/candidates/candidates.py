@@ -19,89 +19,7 @@ from roadsight.base.sections.placement import Candidates
 # (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
 _ROOF_SHARE = 0.6
 _ROOF_CELLS = 4  # along either side of that plan, a square as wide as the search radius reaches
-_ASIDE_M = 3.0  # how far to either side of an edge pavement is looked for
 _ROOF_PERCENTILE = 5  # of a roof's heights, where it begins: stray points may hang lower
-
-
-def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
-    """Heights above ground at which a sensor fits between the points around a position.
-
-    The paper's cases i to iv are one rule on the sorted heights of the points. Where no point lies
-    below the lowest allowed height, that height counts as one (cases iii, iv). The space between
-    two points is free when it is wider than ``gap_factor`` steps: heights then start half a step
-    above the lower point, or at the lowest allowed height if that is higher, and keep half a step
-    from the upper point. Above the highest point (cases ii, iii) they start half a step above it.
-    Without points all heights are free (step iv).
-
-    Parameters
-    ----------
-    point_heights_m : (n,) heights above ground, any order.
-
-    Returns
-    -------
-    (k,) increasing heights within the allowed range.
-    """
-    low, high, step = settings.height_min_m, settings.height_max_m, settings.height_step_m
-    heights = np.sort(np.asarray(point_heights_m, np.float64))
-    if len(heights) == 0:
-        return _steps(low, high, step)
-    free: list[Floats] = []
-    if heights[0] > low:
-        heights = np.append(low, heights)
-    for below, above in pairwise(heights):
-        if above - below > settings.gap_factor * step:
-            start = max(below + step / 2, low)
-            free.append(_steps(start, min(above - step / 2, high), step))
-    if heights[-1] < high:
-        free.append(_steps(max(heights[-1] + step / 2, low), high, step))
-    return np.concatenate(free) if free else np.empty(0)
-
-
-def _steps(start: float, stop: float, step: float) -> Floats:
-    """Values from ``start`` to ``stop`` inclusive; empty if the range is."""
-    # Rounding must not cost the last height.
-    return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
-
-
-def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: Candidates) -> float:
-    """Height of a roof above a position, infinite if there is none.
-
-    A tunnel or bridge leaves free space above its ceiling, as far as the scanner can tell; a sensor
-    there would hang in rock. Points above the lowest allowed height that cover most of the plan
-    around the position are a roof.
-
-    Parameters
-    ----------
-    offsets_m : (n, 2) plan offsets from the position. point_heights_m : (n,) above ground.
-    """
-    above = point_heights_m > settings.height_min_m
-    if not above.any():
-        return np.inf
-    radius = settings.search_radius_m
-    cell = np.floor((offsets_m[above] + radius) / (2 * radius) * _ROOF_CELLS).astype(int)
-    covered = np.unique(np.clip(cell, 0, _ROOF_CELLS - 1), axis=0)
-    if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2:
-        return np.inf
-    return float(np.percentile(point_heights_m[above], _ROOF_PERCENTILE))
-
-
-def facing_deg(xy_m: Floats, direction: Floats, pavement: MultiPolygon) -> Floats:
-    """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
-
-    Where both sides or neither side are pavement (medians, digitised lines off the road), the left
-    side of the edge is taken.
-
-    Parameters
-    ----------
-    xy_m : (n, 2); direction : (n, 2) unit tangents.
-    """
-    left = np.column_stack([-direction[:, 1], direction[:, 0]])
-    on_left, on_right = (
-        shapely.contains_xy(pavement, *(xy_m + sign * _ASIDE_M * left).T) for sign in (1, -1)
-    )
-    normal = np.where((on_right & ~on_left)[:, None], -left, left)
-    # Adding zero turns -0.0 into 0.0, so that the west is always +180.
-    return np.degrees(np.arctan2(normal[:, 1] + 0.0, normal[:, 0]))
 
 
 def stack_candidates(
@@ -171,7 +89,70 @@ def stack_candidates(
     return stacked
 
 
+def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
+    """Heights above ground at which a sensor fits between the points around a position.
+
+    The paper's cases i to iv are one rule on the sorted heights of the points. Where no point lies
+    below the lowest allowed height, that height counts as one (cases iii, iv). The space between
+    two points is free when it is wider than ``gap_factor`` steps: heights then start half a step
+    above the lower point, or at the lowest allowed height if that is higher, and keep half a step
+    from the upper point. Above the highest point (cases ii, iii) they start half a step above it.
+    Without points all heights are free (step iv).
+
+    Parameters
+    ----------
+    point_heights_m : (n,) heights above ground, any order.
+
+    Returns
+    -------
+    (k,) increasing heights within the allowed range.
+    """
+    low, high, step = settings.height_min_m, settings.height_max_m, settings.height_step_m
+    heights = np.sort(np.asarray(point_heights_m, np.float64))
+    if len(heights) == 0:
+        return _steps(low, high, step)
+    free: list[Floats] = []
+    if heights[0] > low:
+        heights = np.append(low, heights)
+    for below, above in pairwise(heights):
+        if above - below > settings.gap_factor * step:
+            start = max(below + step / 2, low)
+            free.append(_steps(start, min(above - step / 2, high), step))
+    if heights[-1] < high:
+        free.append(_steps(max(heights[-1] + step / 2, low), high, step))
+    return np.concatenate(free) if free else np.empty(0)
+
+
+def _steps(start: float, stop: float, step: float) -> Floats:
+    """Values from ``start`` to ``stop`` inclusive; empty if the range is."""
+    # Rounding must not cost the last height.
+    return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
+
+
+def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: Candidates) -> float:
+    """Height of a roof above a position, infinite if there is none.
+
+    A tunnel or bridge leaves free space above its ceiling, as far as the scanner can tell; a sensor
+    there would hang in rock. Points above the lowest allowed height that cover most of the plan
+    around the position are a roof.
+
+    Parameters
+    ----------
+    offsets_m : (n, 2) plan offsets from the position. point_heights_m : (n,) above ground.
+    """
+    above = point_heights_m > settings.height_min_m
+    if not above.any():
+        return np.inf
+    radius = settings.search_radius_m
+    cell = np.floor((offsets_m[above] + radius) / (2 * radius) * _ROOF_CELLS).astype(int)
+    covered = np.unique(np.clip(cell, 0, _ROOF_CELLS - 1), axis=0)
+    if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2:
+        return np.inf
+    return float(np.percentile(point_heights_m[above], _ROOF_PERCENTILE))
+
+
 _TANGENT_M = 0.5  # the edge's direction is taken from this far behind a station to this far ahead
+_ASIDE_M = 3.0  # how far to either side of an edge pavement is looked for
 
 
 def positions_along(
@@ -213,6 +194,25 @@ def _along(line: shapely.LineString, stations_m: Floats) -> Floats:
     """Points (n, 2) at stations, clipped to the line's ends."""
     inside = np.clip(stations_m, 0.0, line.length)
     return shapely.get_coordinates(shapely.line_interpolate_point(line, inside))
+
+
+def facing_deg(xy_m: Floats, direction: Floats, pavement: MultiPolygon) -> Floats:
+    """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
+
+    Where both sides or neither side are pavement (medians, digitised lines off the road), the left
+    side of the edge is taken.
+
+    Parameters
+    ----------
+    xy_m : (n, 2); direction : (n, 2) unit tangents.
+    """
+    left = np.column_stack([-direction[:, 1], direction[:, 0]])
+    on_left, on_right = (
+        shapely.contains_xy(pavement, *(xy_m + sign * _ASIDE_M * left).T) for sign in (1, -1)
+    )
+    normal = np.where((on_right & ~on_left)[:, None], -left, left)
+    # Adding zero turns -0.0 into 0.0, so that the west is always +180.
+    return np.degrees(np.arctan2(normal[:, 1] + 0.0, normal[:, 0]))
 
 
 def near_gaps(positions: pd.DataFrame, gaps_xy_m: Floats, radius_m: float) -> Bools:

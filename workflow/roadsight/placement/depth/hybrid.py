@@ -24,6 +24,33 @@ from roadsight.placement.sensors.sensors import Sensor
 _USUAL = Lidar()
 
 
+class Spherical(NamedTuple):
+    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
+
+    azimuth_deg: Floats
+    elevation_deg: Floats
+    range_m: Floats
+
+
+class Bins(NamedTuple):
+    """Points sorted into bins of azimuth (all around) and elevation.
+
+    Parameters
+    ----------
+    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
+    order : (n,) points by bin, in input order inside a bin.
+    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
+    """
+
+    start: Ints
+    order: Ints
+    columns: int
+    rows: int
+    width_deg: float
+    height_deg: float
+    bottom_deg: float
+
+
 def preliminary_depth(
     xyz_m: NDArray[np.floating], sensor: Sensor, position_m: ArrayLike, yaw_deg: float
 ) -> Floats32:
@@ -147,33 +174,6 @@ def _least(
 # found stays the same.
 _BINS_IN_REACH = 6
 _ON_BEAM_M = 1e-9  # nearer points are on the beam: the inverse of their distance means nothing
-
-
-class Spherical(NamedTuple):
-    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
-
-    azimuth_deg: Floats
-    elevation_deg: Floats
-    range_m: Floats
-
-
-class Bins(NamedTuple):
-    """Points sorted into bins of azimuth (all around) and elevation.
-
-    Parameters
-    ----------
-    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
-    order : (n,) points by bin, in input order inside a bin.
-    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
-    """
-
-    start: Ints
-    order: Ints
-    columns: int
-    rows: int
-    width_deg: float
-    height_deg: float
-    bottom_deg: float
 
 
 def bin_points(points: Spherical, reach_deg: float, edges_deg: Floats) -> Bins:

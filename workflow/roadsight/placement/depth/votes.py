@@ -165,21 +165,6 @@ def seen_from_here(
 
 
 @compiled()
-def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[float, float]:
-    """Place of a unit vector on the grid of buckets: pseudo-angle and sine of the elevation.
-
-    The pseudo-angle (0 to 4 around) grows at most as fast as the azimuth, and needs no arctangent.
-    """
-    flat = abs(x) + abs(y)
-    turn = y / flat if flat > 0 else 0.0
-    if x < 0:
-        turn = 2 - turn
-    elif y < 0:
-        turn = 4 + turn
-    return turn * columns / 4, (z + 1) * rows / 2
-
-
-@compiled()
 def _seen_from(
     xyz_m: Floats32,
     points: Floats32,
@@ -250,6 +235,81 @@ def _seen_from(
                 most[key[n]] = max(most[key[n]], r)
             n += 1
     return seen, starts, least, most
+
+
+@compiled()
+def _vote(
+    directions: Floats32,
+    first_m: Floats32,
+    seen: Floats32,
+    starts: Ints32,
+    least: Floats32,
+    most: Floats32,
+    columns: int,
+    rows: int,
+    voters: int,
+    fewer_m: float,
+    bucket_rad: float,
+    widest_rad: float,
+    layer_m: float,
+    beam_m: float,
+    axis_m: float,
+    trusted_m: float,
+    reach: float,
+    touch: float,
+    agreeing: int,
+) -> Floats32:
+    out = first_m.copy()
+    room = 4 * voters
+    found, gap2 = np.empty(room, np.int64), np.empty(room)
+    t, weight, stops, near = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    for beam in range(len(directions)):
+        d = directions[beam]
+        if first_m[beam] < np.inf:
+            box = _box(d, columns, rows, bucket_rad)
+            if _agree(starts, least, most, columns, box, first_m[beam], layer_m, agreeing):
+                continue
+        radius = _cone(d, starts, columns, rows, voters, bucket_rad, widest_rad)
+        if radius == 0:
+            continue
+        n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
+        if 2 * n < voters and radius < widest_rad:
+            radius = min(2 * radius, widest_rad)
+            n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
+        n, radius = _narrower(seen, found, gap2, n, radius, fewer_m)
+        for k in range(n):
+            row = seen[found[k]]
+            met = _met_at(row, d, trusted_m, reach)
+            gap_m2 = gap2[k] * row[3] * row[3]
+            kernel = (1 - gap2[k] / (radius * radius)) * row[11]
+            place = k
+            while place > 0 and t[place - 1] > met:
+                t[place], weight[place] = t[place - 1], weight[place - 1]
+                stops[place], near[place] = stops[place - 1], near[place - 1]
+                place -= 1
+            t[place], weight[place] = met, kernel
+            on_axis = max(1 - gap_m2 / beam_m**2, 0.0) if row[3] < axis_m else 0.0
+            stops[place] = kernel * (1 + on_axis)
+            near[place] = gap_m2 - (touch * row[10]) ** 2
+        voted_m = _first_layer(t, weight, stops, near, n, layer_m)
+        if voted_m < np.inf:
+            out[beam] = voted_m
+    return out
+
+
+@compiled()
+def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[float, float]:
+    """Place of a unit vector on the grid of buckets: pseudo-angle and sine of the elevation.
+
+    The pseudo-angle (0 to 4 around) grows at most as fast as the azimuth, and needs no arctangent.
+    """
+    flat = abs(x) + abs(y)
+    turn = y / flat if flat > 0 else 0.0
+    if x < 0:
+        turn = 2 - turn
+    elif y < 0:
+        turn = 4 + turn
+    return turn * columns / 4, (z + 1) * rows / 2
 
 
 @compiled()
@@ -389,66 +449,6 @@ def _cone(
     if count == 0:
         return 0.0
     return float(half * min(np.sqrt(4 / np.pi * voters / count) * 1.25, 1.0))
-
-
-@compiled()
-def _vote(
-    directions: Floats32,
-    first_m: Floats32,
-    seen: Floats32,
-    starts: Ints32,
-    least: Floats32,
-    most: Floats32,
-    columns: int,
-    rows: int,
-    voters: int,
-    fewer_m: float,
-    bucket_rad: float,
-    widest_rad: float,
-    layer_m: float,
-    beam_m: float,
-    axis_m: float,
-    trusted_m: float,
-    reach: float,
-    touch: float,
-    agreeing: int,
-) -> Floats32:
-    out = first_m.copy()
-    room = 4 * voters
-    found, gap2 = np.empty(room, np.int64), np.empty(room)
-    t, weight, stops, near = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    for beam in range(len(directions)):
-        d = directions[beam]
-        if first_m[beam] < np.inf:
-            box = _box(d, columns, rows, bucket_rad)
-            if _agree(starts, least, most, columns, box, first_m[beam], layer_m, agreeing):
-                continue
-        radius = _cone(d, starts, columns, rows, voters, bucket_rad, widest_rad)
-        if radius == 0:
-            continue
-        n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
-        if 2 * n < voters and radius < widest_rad:
-            radius = min(2 * radius, widest_rad)
-            n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
-        n, radius = _narrower(seen, found, gap2, n, radius, fewer_m)
-        for k in range(n):
-            row = seen[found[k]]
-            met = _met_at(row, d, trusted_m, reach)
-            gap_m2 = gap2[k] * row[3] * row[3]
-            kernel = (1 - gap2[k] / (radius * radius)) * row[11]
-            place = k
-            while place > 0 and t[place - 1] > met:
-                t[place], weight[place] = t[place - 1], weight[place - 1]
-                stops[place], near[place] = stops[place - 1], near[place - 1]
-                place -= 1
-            t[place], weight[place] = met, kernel
-            on_axis = max(1 - gap_m2 / beam_m**2, 0.0) if row[3] < axis_m else 0.0
-            stops[place] = kernel * (1 + on_axis)
-            near[place] = gap_m2 - (touch * row[10]) ** 2
-        voted_m = _first_layer(t, weight, stops, near, n, layer_m)
-        if voted_m < np.inf:
-            out[beam] = voted_m
-    return out
 
 
 @compiled()

@@ -33,6 +33,51 @@ _BUILDING_M2 = 4.0  # footprint of a building or another structure, at least
 _OBJECT = ["name", "kind", "x", "y", "z", "height_m", "length_m", "surfels"]
 
 
+def objects_of(
+    centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
+) -> tuple[Ints, pd.DataFrame]:
+    """Objects of a scene.
+
+    Parameters
+    ----------
+    centre_m, normal : (n, 3) of the surfels, local metres. height_m : (n,) above the ground; NaN
+        where that is not known, which belongs to no object.
+
+    Returns
+    -------
+    (n,) row of each surfel's object, -1 for the ground and stray ones; and the objects: name (kind
+    and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
+    (of its top), length_m and surfels.
+    """
+    row_of = np.full(len(centre_m), -1, np.int64)
+    high = np.flatnonzero(height_m >= LOWEST_M)
+    places = centre_m[high].astype(np.float64)
+    groups = connected(places, stands_low(places, height_m[high]))
+    distinct = _first_of(_numbered(groups, *places.T), groups)
+    large = np.bincount(distinct) >= _FEWEST
+    if not large.any():
+        return row_of, pd.DataFrame({name: [] for name in _OBJECT})
+    kept = large[groups]
+    group = (np.cumsum(large) - 1)[groups[kept]]
+    high, places = high[kept], places[kept]
+    row_of[high] = group
+    by_object = pd.DataFrame(places, columns=[*"xyz"]).groupby(group)
+    table = by_object.median()
+    table["kind"] = kinds_of_objects(places, normal[high].astype(np.float64), height_m[high], group)
+    table["height_m"] = pd.Series(height_m[high]).groupby(group).quantile(0.98)
+    extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
+    table["length_m"] = np.hypot(extent["x"], extent["y"])
+    table["surfels"] = np.bincount(group)
+    # A number tells those apart that share kind and place.
+    names = [
+        f"{kind}{round(x):+d}{round(y):+d}"
+        for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
+    ]
+    times = pd.Series(names).groupby(names).cumcount() + 1
+    table["name"] = [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
+    return row_of, table[_OBJECT]
+
+
 def connected(centre_m: Floats, part: Ints | Bools | None = None) -> Ints:
     """Number of the object (n,) that each point belongs to: cubes of 0.4 m that touch.
 
@@ -171,48 +216,3 @@ def place_of_name(name: str) -> tuple[float, float] | None:
     """Local x, y of an object by its name, to half a metre; None where it tells none."""
     found = re.search(r"([+-]\d+)([+-]\d+)(-\d+)?$", name)
     return None if found is None else (float(found[1]), float(found[2]))
-
-
-def objects_of(
-    centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
-) -> tuple[Ints, pd.DataFrame]:
-    """Objects of a scene.
-
-    Parameters
-    ----------
-    centre_m, normal : (n, 3) of the surfels, local metres. height_m : (n,) above the ground; NaN
-        where that is not known, which belongs to no object.
-
-    Returns
-    -------
-    (n,) row of each surfel's object, -1 for the ground and stray ones; and the objects: name (kind
-    and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
-    (of its top), length_m and surfels.
-    """
-    row_of = np.full(len(centre_m), -1, np.int64)
-    high = np.flatnonzero(height_m >= LOWEST_M)
-    places = centre_m[high].astype(np.float64)
-    groups = connected(places, stands_low(places, height_m[high]))
-    distinct = _first_of(_numbered(groups, *places.T), groups)
-    large = np.bincount(distinct) >= _FEWEST
-    if not large.any():
-        return row_of, pd.DataFrame({name: [] for name in _OBJECT})
-    kept = large[groups]
-    group = (np.cumsum(large) - 1)[groups[kept]]
-    high, places = high[kept], places[kept]
-    row_of[high] = group
-    by_object = pd.DataFrame(places, columns=[*"xyz"]).groupby(group)
-    table = by_object.median()
-    table["kind"] = kinds_of_objects(places, normal[high].astype(np.float64), height_m[high], group)
-    table["height_m"] = pd.Series(height_m[high]).groupby(group).quantile(0.98)
-    extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
-    table["length_m"] = np.hypot(extent["x"], extent["y"])
-    table["surfels"] = np.bincount(group)
-    # A number tells those apart that share kind and place.
-    names = [
-        f"{kind}{round(x):+d}{round(y):+d}"
-        for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
-    ]
-    times = pd.Series(names).groupby(names).cumcount() + 1
-    table["name"] = [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
-    return row_of, table[_OBJECT]

@@ -166,6 +166,115 @@ _State = namedtuple(
 )
 
 
+@compiled()
+def fill(
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
+    cost: Floats,
+    need: Ints32,
+    group: Ints,
+    inside: Bools,
+) -> bool:
+    """Take choices by weight gained per cost, then drop superfluous ones; False if it got stuck.
+
+    ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
+    """
+    weight = np.empty(len(need), np.int64)
+    for t in range(len(need)):
+        weight[t] = 1
+    state = _new_state(start, group, weight)
+    while state.sizes[1] > 0:
+        best = -1
+        for choice in range(len(cost)):
+            if state.inside[choice] or state.score[choice] == 0:
+                continue
+            if group[choice] >= 0 and state.occupant[group[choice]] >= 0:
+                continue
+            if _better(choice, best, cost, state, 1):
+                best = choice
+        if best < 0:
+            return False
+        _add(best, start, index, tstart, tindex, need, group, state)
+    while state.sizes[0] > 0:
+        choice = _cheapest_loss(-1, cost, state)
+        if state.score[choice] > 0:
+            break
+        _remove(choice, start, index, tstart, tindex, need, group, state)
+    _copy(state.inside, inside)
+    return True
+
+
+@compiled()
+def exchange(
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
+    cost: Floats,
+    need: Ints32,
+    group: Ints,
+    first: Bools,
+    goal: float,
+    steps: int,
+    weight: Ints,
+    rng: np.random.Generator,
+) -> tuple[Bools, bool, int, int]:
+    """Members, whether they cover all at a cost of at most ``goal``, steps used, entries read.
+
+    A step takes out the choices that lose least until the rest is cheap enough, and covers open
+    targets, drawn at random, as long as the goal allows; what stays open weighs one more.
+
+    Parameters
+    ----------
+    start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
+    weight : (n,) of the targets, changed. steps : at most so many.
+    """
+    state = _new_state(start, group, weight.copy())
+    for choice in range(len(cost)):
+        state.score[choice] = 0
+        for p in range(start[choice], start[choice + 1]):
+            state.score[choice] += weight[index[p]]
+    total = 0.0
+    for choice in range(len(cost)):
+        if first[choice]:
+            _add(choice, start, index, tstart, tindex, need, group, state)
+            total += cost[choice]
+    tabu = -1
+    for step in range(1, steps + 1):
+        if state.sizes[1] == 0 and total <= goal:
+            return state.inside.copy(), True, step, state.sizes[2]
+        choice = _cheapest_loss(tabu, cost, state)
+        while choice >= 0:
+            _remove(choice, start, index, tstart, tindex, need, group, state)
+            state.stamp[choice] = step
+            total -= cost[choice]
+            if total <= goal and state.sizes[1] > 0:
+                break
+            choice = _cheapest_loss(tabu, cost, state)
+        while state.sizes[1] > 0:
+            t = state.open[rng.integers(0, state.sizes[1])]
+            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
+            if best < 0:
+                break
+            mate = state.occupant[group[best]] if group[best] >= 0 else -1
+            if mate >= 0:
+                _remove(mate, start, index, tstart, tindex, need, group, state)
+                state.stamp[mate] = step
+                total -= cost[mate]
+            _add(best, start, index, tstart, tindex, need, group, state)
+            state.stamp[best] = step
+            total += cost[best]
+            tabu = best
+            if mate >= 0:
+                break  # two choices of one group could replace each other for ever
+        _weigh_open(tstart, tindex, state)
+    _copy(state.weight, weight)
+    done = state.sizes[1] == 0 and total <= goal
+    return state.inside.copy(), done, steps, state.sizes[2]
+
+
 @compiled_part()
 def _new_state(start, group, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     choices, targets, groups = len(start) - 1, len(weight), 0
@@ -284,115 +393,6 @@ def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: 
         if choice != tabu and _better(choice, best, cost, state, -1):
             best = choice
     return best
-
-
-@compiled()
-def fill(
-    start: Ints32,
-    index: Ints32,
-    tstart: Ints32,
-    tindex: Ints32,
-    cost: Floats,
-    need: Ints32,
-    group: Ints,
-    inside: Bools,
-) -> bool:
-    """Take choices by weight gained per cost, then drop superfluous ones; False if it got stuck.
-
-    ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
-    """
-    weight = np.empty(len(need), np.int64)
-    for t in range(len(need)):
-        weight[t] = 1
-    state = _new_state(start, group, weight)
-    while state.sizes[1] > 0:
-        best = -1
-        for choice in range(len(cost)):
-            if state.inside[choice] or state.score[choice] == 0:
-                continue
-            if group[choice] >= 0 and state.occupant[group[choice]] >= 0:
-                continue
-            if _better(choice, best, cost, state, 1):
-                best = choice
-        if best < 0:
-            return False
-        _add(best, start, index, tstart, tindex, need, group, state)
-    while state.sizes[0] > 0:
-        choice = _cheapest_loss(-1, cost, state)
-        if state.score[choice] > 0:
-            break
-        _remove(choice, start, index, tstart, tindex, need, group, state)
-    _copy(state.inside, inside)
-    return True
-
-
-@compiled()
-def exchange(
-    start: Ints32,
-    index: Ints32,
-    tstart: Ints32,
-    tindex: Ints32,
-    cost: Floats,
-    need: Ints32,
-    group: Ints,
-    first: Bools,
-    goal: float,
-    steps: int,
-    weight: Ints,
-    rng: np.random.Generator,
-) -> tuple[Bools, bool, int, int]:
-    """Members, whether they cover all at a cost of at most ``goal``, steps used, entries read.
-
-    A step takes out the choices that lose least until the rest is cheap enough, and covers open
-    targets, drawn at random, as long as the goal allows; what stays open weighs one more.
-
-    Parameters
-    ----------
-    start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
-    weight : (n,) of the targets, changed. steps : at most so many.
-    """
-    state = _new_state(start, group, weight.copy())
-    for choice in range(len(cost)):
-        state.score[choice] = 0
-        for p in range(start[choice], start[choice + 1]):
-            state.score[choice] += weight[index[p]]
-    total = 0.0
-    for choice in range(len(cost)):
-        if first[choice]:
-            _add(choice, start, index, tstart, tindex, need, group, state)
-            total += cost[choice]
-    tabu = -1
-    for step in range(1, steps + 1):
-        if state.sizes[1] == 0 and total <= goal:
-            return state.inside.copy(), True, step, state.sizes[2]
-        choice = _cheapest_loss(tabu, cost, state)
-        while choice >= 0:
-            _remove(choice, start, index, tstart, tindex, need, group, state)
-            state.stamp[choice] = step
-            total -= cost[choice]
-            if total <= goal and state.sizes[1] > 0:
-                break
-            choice = _cheapest_loss(tabu, cost, state)
-        while state.sizes[1] > 0:
-            t = state.open[rng.integers(0, state.sizes[1])]
-            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
-            if best < 0:
-                break
-            mate = state.occupant[group[best]] if group[best] >= 0 else -1
-            if mate >= 0:
-                _remove(mate, start, index, tstart, tindex, need, group, state)
-                state.stamp[mate] = step
-                total -= cost[mate]
-            _add(best, start, index, tstart, tindex, need, group, state)
-            state.stamp[best] = step
-            total += cost[best]
-            tabu = best
-            if mate >= 0:
-                break  # two choices of one group could replace each other for ever
-        _weigh_open(tstart, tindex, state)
-    _copy(state.weight, weight)
-    done = state.sizes[1] == 0 and total <= goal
-    return state.inside.copy(), done, steps, state.sizes[2]
 
 
 @compiled_part()
