@@ -72,11 +72,6 @@ class Quantity:
     remark: str
 
 
-def road_length_m(circumstances: Circumstances) -> float:
-    """Rough length of the road: the longer side of the scene."""
-    return float(max(circumstances.profile["extent_m"][:2]))
-
-
 def occurrences(per: str, circumstances: Circumstances) -> float:
     """How many times a site simulates an effect, roughly, before anything is placed.
 
@@ -86,7 +81,8 @@ def occurrences(per: str, circumstances: Circumstances) -> float:
     heights = (candidates["height_max_m"] - candidates["height_min_m"]) / candidates[
         "height_step_m"
     ] + 1
-    placed = 2 * (road_length_m(circumstances) / candidates["spacing_m"] + 1) * heights
+    length_m = float(max(circumstances.profile["extent_m"][:2]))  # longer side of the scene
+    placed = 2 * (length_m / candidates["spacing_m"] + 1) * heights
     return float(
         {
             "site": 1.0,

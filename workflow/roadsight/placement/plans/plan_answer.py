@@ -221,14 +221,6 @@ def stretches(station_m: Floats, cell_m: float) -> Ints:
     return np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-def applies(deployment: Deployment) -> bool:
-    """Whether a plan has a second objective: it sees all targets, and no share is to be kept.
-
-    A budget or a price weighs coverage itself, and a share to be kept has its own redundancy.
-    """
-    return deployment.complete and not deployment.keep
-
-
 def see_again(
     deployment: Deployment,
     cover: Cover,
@@ -254,7 +246,9 @@ def see_again(
     -------
     the cover, with the CPU time of both; shares of the weight, metres and status (`Second`)
     """
-    if not limit_s > 0 or not len(cover.chosen) or not applies(deployment):
+    # A budget or a price weighs coverage itself, and a share to be kept has its own redundancy.
+    second = deployment.complete and not deployment.keep
+    if not (second and limit_s > 0 and len(cover.chosen)):
         return cover, None
     whole_choice = True
     if allowed is not None and not allowed.all():
