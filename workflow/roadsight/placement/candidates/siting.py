@@ -162,16 +162,6 @@ def _nearest_place(
     return np.flatnonzero((xy_m == place).all(axis=1) & np.isfinite(distance_m))
 
 
-def reach(matrix: sparse.csr_matrix, place: Ints, forbidden: Bools) -> Ints:
-    """How many places (n,) can see each target, each place counting once."""
-    entries = matrix.tocoo()
-    free = ~forbidden[entries.row]
-    shape = (matrix.shape[1], int(place.max(initial=-1)) + 1)
-    ones = np.ones(int(free.sum()))
-    seen = sparse.csr_matrix((ones, (entries.col[free], place[entries.row[free]])), shape=shape)
-    return np.diff(seen.indptr).astype(np.int64)
-
-
 def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> Bools:
     """(areas, points): whether an area holds a point, its rim included."""
     places = shapely.points(points["x"].to_numpy(np.float64), points["y"].to_numpy(np.float64))

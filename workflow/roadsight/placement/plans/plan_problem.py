@@ -16,12 +16,12 @@ from roadsight.base.errors import InputError
 from roadsight.placement.candidates.siting import (
     mounting_costs,
     needs_by_area,
-    reach,
     snapped,
     within_zones,
 )
 from roadsight.placement.sensors.poses import split_pose
 from roadsight.setcover.common.problem import CoverProblem
+from roadsight.setcover.common.reductions import times_coverable
 from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 
 _NAMED = 5  # targets that a message names
@@ -126,7 +126,7 @@ def pose(
     weight, need = np.ones(len(targets)), np.full(len(targets), asked.at_least, np.int64)
     if asked.areas is not None:
         weight, need = needs_by_area(asked.areas, targets, asked.at_least)
-    reachable = reach(matrix, position, forbidden)
+    reachable = times_coverable(matrix, position, forbidden)
     short = np.flatnonzero(reachable < need)
     known = targets.assign(weight=weight, asked=need, needed=need, reachable=reachable)
     _check_reach(asked, known, short)
