@@ -59,7 +59,7 @@ class Builder:
         """Fill up from some choices (those that break a set are left out), tidy up and offer."""
         inside = self._compatible(start)
         liking = np.ones(self.cuts.choices) if liking is None else liking
-        self._fill(inside, self.cuts.weight, self.cuts.need, liking)
+        self._fill(inside, liking)
         chosen = np.flatnonzero(inside)
         if self.deployment.keep:
             chosen = self._second_sight(inside, liking)
@@ -99,10 +99,11 @@ class Builder:
             spent += charge[choice]
         return inside
 
-    def _fill(self, inside: Bools, weight: Floats, need: Ints, liking: Floats) -> None:
+    def _fill(self, inside: Bools, liking: Floats) -> None:
         deployment, by_choice, by_target = self.deployment, self.cuts.by_choice, self.cuts.by_target
+        need = self.cuts.need
         # A target that must be seen draws whatever its weight.
-        each = np.ones(len(need)) if deployment.complete else weight
+        each = np.ones(len(need)) if deployment.complete else self.cuts.weight
         wanted = np.where(need > 0, self._pull * each, 0.0)
         charge = np.asarray(deployment.charge)
         finite = math.isfinite(deployment.spendable)
