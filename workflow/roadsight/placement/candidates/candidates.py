@@ -38,7 +38,7 @@ def stack_candidates(
         station_m, mount; and top_m, where a pole ends (NaN: anywhere).
     obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
     obstacle_heights_m : (n,) their heights above ground.
-    around_xyz_m : (m, 3) points within `solid.REACH_M` of the positions, thinned at will; where
+    around_xyz_m : (m, 3) points within `REACH_M` of the positions, thinned at will; where
         they are given, roofs wider than the search radius and walls all around count as well.
     roofs : whether roofs end the search for heights.
 

@@ -158,7 +158,7 @@ def positions_on_poles(poles: pd.DataFrame, pavement: MultiPolygon, arm_m: float
 
     Returns
     -------
-    the columns of `positions.positions_along` and top_m; a pole on the pavement, or where there is
+    the columns of `positions_along` and top_m; a pole on the pavement, or where there is
     no pavement, holds its sensor to the north
     """
     xy = poles[["x", "y"]].to_numpy(np.float64).reshape(-1, 2)

@@ -1,7 +1,7 @@
 """What stands between a sensor and the targets that it does not see (paper 1, Appendix B).
 
 Each sight line is cast on its own, so the answer does not depend on the sensor's resolution; where
-it ends is the obstacle. The paper's way, by the cells of the depth map, is in `obstacle_cells`.
+it ends is the obstacle. The paper's way goes by the cells of the depth map (`CellPoints`).
 """
 
 from __future__ import annotations
@@ -229,12 +229,9 @@ def explain_gaps(
     return gaps
 
 
-# Obstacles by the sensor's angular cells, as published (paper 1, Appendix B, Fig. B.1a).
-#
-# The points of the scene are partitioned into the cells of a sensor's depth map. Where the depth
-# map of a target has the range r_t and that of the scene, at the same place, r_s < r_t, the
-# points of the cell whose ranges lie between the two are obstacles; else the target's point there
-# is not occluded. Targets are judged one by one.
+# Obstacles by the sensor's angular cells, as published (paper 1, Appendix B, Fig. B.1a): where the
+# depth map of a target has the range r_t and that of the scene r_s < r_t, the points of the cell
+# whose ranges lie between the two are obstacles. Targets are judged one by one.
 
 
 @dataclass(frozen=True)

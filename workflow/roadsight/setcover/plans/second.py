@@ -2,7 +2,7 @@
 
 The covers that share all but r choices with the best one are looked at exhaustively, for r = 1, 2,
 3 and so on, and from 1 again after each find. With nothing shared, that is the proof. Where work
-runs out before, a Lagrangian bound says how much more there could be at most (`second_bounds`).
+runs out before, a Lagrangian bound says how much more there could be at most (`seen_at_most`).
 
 Weights are in any unit of the caller's (the workflow's are 1 for each target), costs in another.
 """

@@ -17,7 +17,7 @@ case u_j marks targets that are seen just often enough, and lost where one of th
                 r V <= S - sum_j a_ij w_j u_j + (1 - x_i) sum_j a_ij w_j    each choice i
 
 Where all must be seen, V = S is the weight of all targets. What sums do not say (targets in sight
-together past common traffic) is no plan of this kind: `setcover.joint` asks for more as it goes.
+together past common traffic) is no plan of this kind: `joint` asks for more as it goes.
 """
 
 from __future__ import annotations
