@@ -1,6 +1,7 @@
 """Covers in any unit, type and layout against all subsets."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,12 +98,12 @@ def check_curve(seed):
     deployment = posed_deployment(rng, "budget")
     cheap = math.fsum(deployment.charge[deployment.problem.mandatory])
     budgets = np.linspace(cheap, deployment.charge.sum(), 4).tolist()
-    if math.isinf(least_objective(deployment.with_budget(cheap))[0]):
+    if math.isinf(least_objective(replace(deployment, budget=cheap))[0]):
         return
     points = coverage_curve(deployment, budgets)
     assert [point.budget for point in points] == sorted(set(budgets))
     for point in points:
-        best, room = least_objective(deployment.with_budget(point.budget))
+        best, room = least_objective(replace(deployment, budget=point.budget))
         assert point.status == "optimal"
         assert point.value == pytest.approx(-best, abs=room)
         assert point.bound >= -best - room

@@ -133,7 +133,7 @@ def test_curve_holds_the_best_of_each_budget_and_never_falls(seed):
         assert values == sorted(values)
         assert bounds == sorted(bounds)
         for point in points:
-            best = -best_of(deployment.with_budget(point.budget))
+            best = -best_of(replace(deployment, budget=point.budget))
             assert point.value <= best + 1e-6 <= point.bound + 2e-6
             assert point.spent <= point.budget + 1e-9
             assert slow_value(deployment, point.chosen) == pytest.approx(point.value)
@@ -156,7 +156,7 @@ def test_budgets_below_the_cheapest_cover_never_claim_to_see_everything(seed):
         return
     for point in points:
         soft = replace(deployment, complete=False, worth=1.0, cost=np.zeros(len(deployment.cost)))
-        best = -best_of(soft.with_budget(point.budget))
+        best = -best_of(replace(soft, budget=point.budget))
         assert point.value <= best + 1e-6 <= point.bound + 2e-6
 
 

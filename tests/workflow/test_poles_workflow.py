@@ -178,7 +178,7 @@ MODULES = [
     ("scene/terrain/tin.py", after("build_terrain")),
     ("poles/images/plumb_line.py", after("profile_drive")),
     ("poles/images/straightening.py", after("calibrate_drive")),
-    ("effects/quantities_poles.py", after("plan_effects")),
+    ("effects/quantities.py", after("plan_effects")),
     ("poles/alignment/published.py", after("align_cameras")),
     ("synthetic/rendering/rendering_look.py", after("render_videolog")),
     ("commands/triangulate.py", set()),

@@ -22,7 +22,6 @@ OTHER = {
     "evidence/costs.py": ("images shards rounds", "amounts of a mile"),
     "roadsight_hardcases": ("radius_m points", "what a hard case is made of"),
     "evidence/truth": ("farthest_m", "points of a frame of real data"),
-    "placement/candidates/candidates.py": ("reach_m", "length of edge that says a direction"),
     "poles/alignment/landmarks.py": ("axis_px nearest_m farthest_m", "errors and reach of poles"),
     "poles/alignment/pose.py": ("height_m", "spread of a mount"),
     "poles/alignment/solve.py": ("height_m pixels", "error of a height; of the coarse search"),

@@ -12,9 +12,8 @@ import yaml
 from roadsight.base.errors import InputError
 from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Settings
-from roadsight.effects.catalogue import QUANTITIES, load_catalogue
-from roadsight.effects.circumstances import SETTINGS, Circumstances
-from roadsight.effects.planner import plan
+from roadsight.effects.catalogue import QUANTITIES, load_catalogue, plan
+from roadsight.effects.quantities import SETTINGS, Circumstances
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.stages.scene.plan_effects import main

@@ -10,8 +10,7 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
 from roadsight.config.schema import Settings
-from roadsight.effects.circumstances import SETTINGS, Circumstances
-from roadsight.effects.quantities import PLACEMENT
+from roadsight.effects.quantities import PLACEMENT, SETTINGS, Circumstances
 from roadsight.evidence.metrics import METRICS
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import KINDS, Box, Cylinder, shape_of

@@ -244,13 +244,13 @@ def closing_of(problem, gap=0.0, ceiling=np.inf):
 
 def test_cuts_end_with_what_is_enough():
     until_proven, root, solution = closing_of(road(3))
-    proven = until_proven.strengthen_root(root, solution, Deadline(None))
+    proven = until_proven.strengthen(root, solution, Deadline(None), at_root=True)
     assert solution.bound < proven.bound
     assert until_proven.relaxation.cuts
     greedy = closing_of(road(3))[0].local.cost
     for enough in ({"gap": 0.9}, {"ceiling": greedy + 1}):
         near, root, solution = closing_of(road(3), **enough)
-        assert near.strengthen_root(root, solution, Deadline(None)) is solution
+        assert near.strengthen(root, solution, Deadline(None), at_root=True) is solution
         assert not near.relaxation.cuts
 
 
@@ -265,9 +265,9 @@ def test_near_the_goal_the_relaxation_stops_before_the_goal(monkeypatch):
 
     monkeypatch.setattr(near.relaxation, "strengthen", noted)
     monkeypatch.setattr(closing, "_ROOT_SLACK", -1.0)
-    assert near.strengthen_root(root, solution, Deadline(None)) is solution
+    assert near.strengthen(root, solution, Deadline(None), at_root=True) is solution
     far = replace(solution, bound=near.goal - 0.05)
-    assert near.strengthen_root(root, far, Deadline(None)) is far
+    assert near.strengthen(root, far, Deadline(None), at_root=True) is far
     assert [goal for _, goal, _ in goals] == [near.goal - closing._NEAR, near.goal]
 
 

@@ -49,7 +49,7 @@ def test_a_relaxation_without_end_leaves_time_to_look_for_better(monkeypatch):
 
     def endless(master, node, goal, deadline, rounds):
         deadline.spend(deadline.left_s())
-        return Relaxed(-400.0, np.zeros(60), np.zeros(60), settled=False, complete=False)
+        return Relaxed(-400.0, np.zeros(60), np.zeros(60), complete=False)
 
     monkeypatch.setattr(Master, "solve", endless)
     found = solve_deployment(deployment, WorkLimit(0.01)).cover

@@ -1,9 +1,13 @@
-"""The effects that can be simulated, each with the quantity and the threshold that decide."""
+"""The effects that can be simulated, and which of them are at a site.
+
+Each has a quantity and the threshold that decides on it.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field
@@ -11,13 +15,12 @@ from pydantic import Field
 from roadsight.base.errors import InputError, nearest
 from roadsight.base.section import Section, validated
 from roadsight.base.texts import read_yaml
-from roadsight.effects.quantities import PLACEMENT, POLES
+from roadsight.effects.quantities import PLACEMENT, POLES, Circumstances, occurrences
 
 Mode = Literal["auto", "simulate", "skip"]
 Job = Literal["placement", "poles"]
-
+# How each effect's quantity is measured, by job.
 QUANTITIES = {"placement": PLACEMENT, "poles": POLES}
-"""How each effect's quantity is measured, by job."""
 
 
 class Effect(Section):
@@ -91,3 +94,69 @@ def check_names(names: Iterable[str], effects: Mapping[str, Effect], where: str)
     for name in names:
         if name not in effects:
             raise InputError(f"unknown effect {name!r}", where=where, hint=nearest(name, effects))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One effect at one site; the fields of ``effects.json``.
+
+    Parameters
+    ----------
+    quantity, value, unit, threshold : what decided.
+    expected_change : share of the answer that simulating it changes, estimated.
+    expected_seconds : processor time of simulating it, estimated.
+    """
+
+    effect: str
+    job: str
+    decision: Literal["simulate", "skip"]
+    quantity: str
+    value: float
+    unit: str
+    threshold: float
+    reason: str
+    expected_change: float
+    expected_seconds: float
+
+
+def plan(
+    effects: Mapping[str, Effect],
+    modes: Mapping[str, str],
+    jobs: Collection[str],
+    circumstances: Circumstances,
+) -> list[Decision]:
+    """Decide on every effect of the jobs that a site asks for.
+
+    Parameters
+    ----------
+    effects : the catalogue. modes : of the effects that the site decides itself.
+    """
+    return [
+        decide(name, effect, modes.get(name, effect.mode), circumstances)
+        for name, effect in effects.items()
+        if effect.job in jobs
+    ]
+
+
+def decide(name: str, effect: Effect, mode: str, circumstances: Circumstances) -> Decision:
+    """Decide on one effect; a mode other than auto decides it, but the quantity is told as well."""
+    measured = QUANTITIES[effect.job][name](circumstances)
+    above = measured.value > effect.threshold
+    simulated = above if mode == "auto" else mode == "simulate"
+    unit = f" {effect.unit}" if effect.unit else ""
+    side = "above" if above else "not above"
+    told = f"{effect.quantity} {measured.value:.3g}{unit} is {side} {effect.threshold:g}{unit}"
+    if measured.remark:
+        told = f"{told}: {measured.remark}"
+    return Decision(
+        effect=name,
+        job=effect.job,
+        decision="simulate" if simulated else "skip",
+        quantity=effect.quantity,
+        value=measured.value,
+        unit=effect.unit,
+        threshold=effect.threshold,
+        reason=told if mode == "auto" else f"the site's settings say {mode}; {told}",
+        expected_change=min(measured.value * effect.change_per_unit, 1.0),
+        expected_seconds=effect.seconds * occurrences(effect.per, circumstances),
+    )

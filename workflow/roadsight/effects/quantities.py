@@ -1,12 +1,13 @@
-"""What decides on each effect of the placement job, measured on the scene and the sensors."""
+"""What decides on each effect, measured on the scene, the settings and the sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from roadsight.effects.circumstances import Circumstances, Quantity
 from roadsight.placement.sensors.light import (
     CLEAR_M,
     contrast_range_m,
@@ -23,8 +24,78 @@ from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, v
 from roadsight.poles.drive.drive_lenses import with_given
 from roadsight.poles.images.plumb_line import CERTAIN_SIGMAS
 
-_NEAREST_LANES = 2.0
-"""Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four."""
+# The settings that quantities depend on: sections, whole or some of their keys.
+SETTINGS: dict[str, set[str] | bool] = {
+    "conditions": True,
+    "lidar": {"model", "min_cell_points", "mounting", "azimuth_stride"},
+    "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
+    "poses": {"panorama_step_deg"},
+    "targets": {"kind", "radius_m", "height_m", "length_m", "width_m", "min_beams"},
+    "calibration": {"hfov_deg"},
+    "alignment": {"farthest_m"},
+}
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """A site as decisions see it.
+
+    Parameters
+    ----------
+    profile : content of scene/profile.json. frame : content of scene/frame.json.
+    settings : those named in `SETTINGS`, as plain values.
+    sensors : that plans may place, by name.
+    given : what the site gives the pole job beside the cloud: ``posed_share`` of its images,
+        ``lenses``, ``baseline`` (registered cameras).
+    drive : content of poles/drive.json, where the site asks for poles.
+    """
+
+    profile: Mapping[str, Any]
+    frame: Mapping[str, Any]
+    settings: Mapping[str, Mapping[str, Any]]
+    sensors: Mapping[str, AnySensor]
+    given: Mapping[str, Any]
+    drive: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity.
+
+    Parameters
+    ----------
+    value : in the catalogue's unit; larger means that the effect matters more.
+    remark : what it was measured on, or why it is zero.
+    """
+
+    value: float
+    remark: str
+
+
+def occurrences(per: str, circumstances: Circumstances) -> float:
+    """How many times a site simulates an effect, roughly, before anything is placed.
+
+    Candidates stand along both edges of the road, at every height.
+    """
+    candidates = circumstances.settings["candidates"]
+    heights = (candidates["height_max_m"] - candidates["height_min_m"]) / candidates[
+        "height_step_m"
+    ] + 1
+    length_m = float(max(circumstances.profile["extent_m"][:2]))  # longer side of the scene
+    placed = 2 * (length_m / candidates["spacing_m"] + 1) * heights
+    return float(
+        {
+            "site": 1.0,
+            "candidate": placed,
+            "map": placed * len(circumstances.sensors),
+            "image": circumstances.drive.get("images", 0),
+        }[per]
+    )
+
+
+# The placement job.
+
+_NEAREST_LANES = 2.0  # between sensor and target of `moving_vehicles`: one direction of four lanes
 
 
 def hole_filling(site: Circumstances) -> Quantity:
@@ -213,16 +284,12 @@ PLACEMENT: dict[str, Callable[[Circumstances], Quantity]] = {
     "moving_vehicles": moving_vehicles,
     "curvature_refraction": curvature_refraction,
 }
-"""How the quantity of each effect is measured."""
 
 
-# What decides on each effect of the pole job, measured on the scene and what the site gives.
+# The pole job.
 
-_KNOWN_TO = 0.9
-"""Fields of view are known to 10 %: a narrower one shows less of the roadside."""
-
-_WIDTH_PX = 1000.0
-"""Image width that pixels are told at."""
+_KNOWN_TO = 0.9  # fields of view are known to 10 %: a narrower one shows less of the roadside
+_WIDTH_PX = 1000.0  # image width that pixels are told at
 
 
 def terrain_occlusion(site: Circumstances) -> Quantity:
@@ -322,4 +389,3 @@ POLES: dict[str, Callable[[Circumstances], Quantity]] = {
     "road_alignment": road_alignment,
     "sight_curvature": sight_curvature,
 }
-"""How the quantity of each effect is measured."""

@@ -1,8 +1,7 @@
 """Decisions on effects: what they rest on, and what inputs and parameters they give to rules."""
 
-from roadsight.effects.catalogue import load_catalogue
-from roadsight.effects.circumstances import SETTINGS, Circumstances
-from roadsight.effects.planner import plan
+from roadsight.effects.catalogue import load_catalogue, plan
+from roadsight.effects.quantities import SETTINGS, Circumstances
 from roadsight.io.records.atomic import read_json
 from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.images.videolog_files import posed_share

@@ -11,7 +11,7 @@ from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.kinds import Box
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import count_box_hits
+from roadsight.placement.sight.shapes import beams_on
 from roadsight.placement.sight.sight import Sight, count_beams
 
 SENSOR = Sensor(
@@ -59,7 +59,7 @@ def test_beams_are_those_of_a_literal_count(tilted, box):
     tilt = local_from_sensor(0.0, Turn(0.0, 4.0, -3.0)) if tilted else None
     scene = np.where(rng.random(SENSOR.shape) < 0.5, rng.uniform(5, 40, SENSOR.shape), 0.0)
     scene = scene.astype(np.float32)
-    found = count_box_hits(scene, SENSOR, POSITION, 30.0, tilt, feet, box, 50.0, False)
+    found = beams_on(scene, SENSOR, POSITION, 30.0, tilt, feet, box, 50.0, False)[:, 0]
     directions = beam_directions(SENSOR, 30.0, tilt)
     expected = literal(scene, directions, POSITION, feet, box, 50.0)
     # Within this distance a box may span more than the 64 beams that are looked at.
@@ -75,8 +75,8 @@ def test_a_box_is_hidden_by_a_wall_and_seen_over_a_low_one():
     position = np.array([0.0, 0.0, 3.0])
     free = np.zeros(SENSOR.shape, np.float32)
     wall = np.full(SENSOR.shape, 10.0, np.float32)
-    assert count_box_hits(free, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0] > 0
-    assert count_box_hits(wall, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0] == 0
+    assert beams_on(free, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0, 0] > 0
+    assert beams_on(wall, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0, 0] == 0
 
 
 def test_a_car_across_shows_more_than_one_along():
@@ -84,7 +84,7 @@ def test_a_car_across_shows_more_than_one_along():
     across = np.array([[20.0, 0.0, 0.0, np.pi / 2]])
     free, position = np.zeros(SENSOR.shape, np.float32), np.array([0.0, 0.0, 1.0])
     counts = [
-        count_box_hits(free, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0]
+        beams_on(free, SENSOR, position, 0.0, None, foot, CAR, 50.0, False)[0, 0]
         for foot in (along, across)
     ]
     assert counts[1] > 1.5 * counts[0]
@@ -94,8 +94,8 @@ def test_footprints_never_add_and_converge_to_lines():
     wide = load_sensors("config/sensors.yaml")["OS-32"]
     feet, free = boxes(np.random.default_rng(1)), np.zeros(wide.shape, np.float32)
     pose = (POSITION, 10.0, None)
-    lines = count_box_hits(free, wide, *pose, feet, CAR, 50.0, False)
-    shares = count_box_hits(free, wide, *pose, feet, CAR, 50.0, True)
+    lines = beams_on(free, wide, *pose, feet, CAR, 50.0, False)[:, 0]
+    shares = beams_on(free, wide, *pose, feet, CAR, 50.0, True)[:, 0]
     assert (shares <= lines + 1e-9).all()
     assert shares.sum() > 0.7 * lines.sum()
 

@@ -13,7 +13,8 @@ from roadsight.placement.sensors.rays import as_seen_from, beam_directions, retu
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.footprints import CLEAN_SHARE, count_shared_hits, overlap
-from roadsight.placement.sight.shapes import count_tilted_hits
+from roadsight.placement.sight.kinds import Cylinder
+from roadsight.placement.sight.shapes import beams_on
 from roadsight.placement.sight.sight import Sight, count_beams
 from roadsight.scene.surfels import Surfels
 
@@ -28,6 +29,7 @@ SENSOR = Sensor(
 )
 NOTHING = np.zeros(SENSOR.shape, np.float32)
 SIZE = (0.25, 0.6)
+POST = Cylinder(*SIZE)
 
 
 def plane_surfels(slope_x=0.0, size_m=60.0, step_m=0.5):
@@ -128,14 +130,16 @@ class TestTiltedHits:
         feet = rng.uniform(-1, 1, (6, 3)) * (30, 30, 1)
         depth = np.where(rng.random(SENSOR.shape) < 0.3, rng.uniform(3, 60, SENSOR.shape), 0)
         depth = depth.astype(np.float32)
-        found = count_tilted_hits(depth, SENSOR, position, yaw_deg, mount, feet, *SIZE, 100.0)
+        found = beams_on(depth, SENSOR, position, yaw_deg, mount, feet, POST, 100.0, False)[:, 0]
         directions = beam_directions(SENSOR, yaw_deg, mount)
         assert found.tolist() == [slow_count(depth, directions, position, f, 100.0) for f in feet]
 
     def test_a_level_mount_counts_as_the_plain_kernel(self):
         feet = np.random.default_rng(3).uniform(-1, 1, (200, 3)) * (60, 60, 1)
         plain = count_hits(NOTHING, SENSOR, (0, 0, 6), 10.0, feet, *SIZE)
-        level = count_tilted_hits(NOTHING, SENSOR, (0, 0, 6), 10.0, np.eye(3), feet, *SIZE, 100.0)
+        level = beams_on(NOTHING, SENSOR, (0, 0, 6), 10.0, np.eye(3), feet, POST, 100.0, False)[
+            :, 0
+        ]
         # Single precision of the directions may move a beam across a silhouette.
         assert np.abs(plain - level).max() <= 1
         assert (plain != level).mean() < 0.05

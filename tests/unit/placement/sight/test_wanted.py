@@ -8,7 +8,7 @@ from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.rays import NOT_CAST_M, spinning_raster
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import Box, Cylinder, room_for
-from roadsight.placement.sight.posed import Panorama, weigh_targets
+from roadsight.placement.sight.posed import Panorama, weigh_by_height
 from roadsight.placement.sight.sight import Sight, beams_wanted, count_beams
 
 SHAPES = [Cylinder(0.25, 0.6), Cylinder(0.5, 1.0), Cylinder(0.3, 1.7), Box(4.5, 1.8, 1.5)]
@@ -72,11 +72,13 @@ def test_panoramas_hold_what_poses_look_up(rng, shape):
     raster = spinning_raster(PART)
     turned = local_from_sensor(20.0, Turn(70.0, 12.0, -3.0))
     seen = [
-        weigh_targets(Panorama(r, WHOLE, place, 0.0), raster, turned, targets, shape.packed, 60.0)
+        weigh_by_height(
+            Panorama(r, WHOLE, place, 0.0), raster, turned, targets, shape.packed, 60.0, None, 1
+        )[:, 1]
         for r in (whole, part)
     ]
-    assert seen[0][0].sum() > 0
-    np.testing.assert_array_equal(seen[0][0], seen[1][0])
+    assert seen[0].sum() > 0
+    np.testing.assert_array_equal(*seen)
 
 
 @pytest.mark.parametrize("away_m", [30.0, 80.0, 150.0])
@@ -94,7 +96,7 @@ def test_a_target_between_two_columns_of_a_panorama_is_found(rng, away_m):
         wanted = beams_wanted(WHOLE, place, 0.0, foot, room_for(shape))
         part = np.where(wanted, empty, np.float32(NOT_CAST_M))
         view = Panorama(part, WHOLE, place, 0.0)
-        seen, met = weigh_targets(view, raster, level, foot, shape.packed, 200.0)
+        met, seen = weigh_by_height(view, raster, level, foot, shape.packed, 200.0, None, 1).T
         assert seen[0] == met[0] > 0
 
 

@@ -15,15 +15,78 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.sections.placement import Candidates
 
+# Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
+# (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
 _ROOF_SHARE = 0.6
-"""Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
-(`docs/decisions/009-roofs-end-the-search-for-heights.md`)."""
+_ROOF_CELLS = 4  # along either side of that plan, a square as wide as the search radius reaches
+_ROOF_PERCENTILE = 5  # of a roof's heights, where it begins: stray points may hang lower
 
-_ROOF_CELLS = 4
-"""Cells along either side of that plan, a square as wide as the search radius reaches."""
 
-_ROOF_PERCENTILE = 5
-"""Percentile of the heights above a position at which its roof is: stray points may hang lower."""
+def stack_candidates(
+    positions: pd.DataFrame,
+    obstacles_xyz_m: Floats,
+    obstacle_heights_m: Floats,
+    settings: Candidates,
+    around_xyz_m: Floats | None = None,
+    roofs: bool = True,
+) -> pd.DataFrame:
+    """Candidates at every free height of every position, none in or above solid matter.
+
+    Parameters
+    ----------
+    positions : columns key (str, stable name of the position), x, y, ground_z_m, yaw_deg, edge,
+        station_m, mount; and top_m, where a pole ends (NaN: anywhere).
+    obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
+    obstacle_heights_m : (n,) their heights above ground.
+    around_xyz_m : (m, 3) points within `REACH_M` of the positions, thinned at will; where
+        they are given, roofs wider than the search radius and walls all around count as well.
+    roofs : whether roofs end the search for heights.
+
+    Returns
+    -------
+    the columns of ``positions`` and candidate (str), z, height_m, wall_m (plan distance of the
+    nearest point beside the sensor, at most 2 m); NaN ground drops a position.
+    """
+    positions = positions[np.isfinite(positions["ground_z_m"])].reset_index(drop=True)
+    tree = cKDTree(obstacles_xyz_m[:, :2])
+    xy = positions[["x", "y"]].to_numpy()
+    near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
+    surroundings = [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy)
+    if around_xyz_m is not None and len(around_xyz_m):
+        ground = positions["ground_z_m"].to_numpy(np.float64)
+        plan = cKDTree(around_xyz_m[:, :2])
+        surroundings = [
+            Surroundings(around_xyz_m[index][:, :2] - place, around_xyz_m[index][:, 2] - ground_z_m)
+            for index, place, ground_z_m in zip(
+                plan.query_ball_point(xy, REACH_M, return_sorted=True), xy, ground, strict=True
+            )
+        ]
+    tops = positions.get("top_m", pd.Series(np.nan, positions.index)).to_numpy(np.float64)
+    rows, heights, walls = [], [], []
+    for row, index in enumerate(near):
+        point_heights = obstacle_heights_m[index]
+        offsets = obstacles_xyz_m[index][:, :2] - xy[row]
+        free = free_heights_m(point_heights, settings)
+        if np.isfinite(tops[row]):
+            free = free[free <= tops[row]]
+        if roofs:
+            free = free[free < roof_height_m(offsets, point_heights, settings)]
+            free = free[free < surroundings[row].roof_m(settings.height_min_m)]
+        enclosed, wall_m = surroundings[row].walled(free)
+        if roofs:
+            free, wall_m = free[~enclosed], wall_m[~enclosed]
+        rows += [row] * len(free)
+        heights.append(free)
+        walls.append(wall_m)
+    stacked = positions.iloc[rows].reset_index(drop=True)
+    stacked["height_m"] = np.concatenate(heights) if heights else np.empty(0)
+    stacked["wall_m"] = np.concatenate(walls) if walls else np.empty(0)
+    stacked["z"] = stacked["ground_z_m"] + stacked["height_m"]
+    stacked["candidate"] = [
+        f"{key}-h{height:05.2f}"
+        for key, height in zip(stacked["key"], stacked["height_m"], strict=True)
+    ]
+    return stacked
 
 
 def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
@@ -88,106 +151,8 @@ def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: Candidat
     return float(np.percentile(point_heights_m[above], _ROOF_PERCENTILE))
 
 
-def facing_deg(
-    xy_m: Floats, direction: Floats, pavement: MultiPolygon, reach_m: float = 3.0
-) -> Floats:
-    """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
-
-    Where both sides or neither side are pavement (medians, digitised lines off the road), the left
-    side of the edge is taken.
-
-    Parameters
-    ----------
-    xy_m : (n, 2); direction : (n, 2) unit tangents.
-    """
-    left = np.column_stack([-direction[:, 1], direction[:, 0]])
-    on_left, on_right = (
-        shapely.contains_xy(pavement, *(xy_m + sign * reach_m * left).T) for sign in (1, -1)
-    )
-    normal = np.where((on_right & ~on_left)[:, None], -left, left)
-    # Adding zero turns -0.0 into 0.0, so that the west is always +180.
-    return np.degrees(np.arctan2(normal[:, 1] + 0.0, normal[:, 0]))
-
-
-def stack_candidates(
-    positions: pd.DataFrame,
-    obstacles_xyz_m: Floats,
-    obstacle_heights_m: Floats,
-    settings: Candidates,
-    around_xyz_m: Floats | None = None,
-    roofs: bool = True,
-) -> pd.DataFrame:
-    """Candidates at every free height of every position, none in or above solid matter.
-
-    Parameters
-    ----------
-    positions : columns key (str, stable name of the position), x, y, ground_z_m, yaw_deg, edge,
-        station_m, mount; and top_m, where a pole ends (NaN: anywhere).
-    obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
-    obstacle_heights_m : (n,) their heights above ground.
-    around_xyz_m : (m, 3) points within `solid.REACH_M` of the positions, thinned at will; where
-        they are given, roofs wider than the search radius and walls all around count as well.
-    roofs : whether roofs end the search for heights.
-
-    Returns
-    -------
-    the columns of ``positions`` and candidate (str), z, height_m, wall_m (plan distance of the
-    nearest point beside the sensor, at most 2 m); NaN ground drops a position.
-    """
-    positions = positions[np.isfinite(positions["ground_z_m"])].reset_index(drop=True)
-    tree = cKDTree(obstacles_xyz_m[:, :2])
-    xy = positions[["x", "y"]].to_numpy()
-    near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
-    surroundings = _surroundings(xy, positions["ground_z_m"].to_numpy(np.float64), around_xyz_m)
-    tops = positions.get("top_m", pd.Series(np.nan, positions.index)).to_numpy(np.float64)
-    rows, heights, walls = [], [], []
-    for row, index in enumerate(near):
-        point_heights = obstacle_heights_m[index]
-        offsets = obstacles_xyz_m[index][:, :2] - xy[row]
-        free = free_heights_m(point_heights, settings)
-        if np.isfinite(tops[row]):
-            free = free[free <= tops[row]]
-        if roofs:
-            free = free[free < roof_height_m(offsets, point_heights, settings)]
-            free = free[free < surroundings[row].roof_m(settings.height_min_m)]
-        enclosed, wall_m = surroundings[row].walled(free)
-        if roofs:
-            free, wall_m = free[~enclosed], wall_m[~enclosed]
-        rows += [row] * len(free)
-        heights.append(free)
-        walls.append(wall_m)
-    stacked = positions.iloc[rows].reset_index(drop=True)
-    stacked["height_m"] = np.concatenate(heights) if heights else np.empty(0)
-    stacked["wall_m"] = np.concatenate(walls) if walls else np.empty(0)
-    stacked["z"] = stacked["ground_z_m"] + stacked["height_m"]
-    stacked["candidate"] = [
-        f"{key}-h{height:05.2f}"
-        for key, height in zip(stacked["key"], stacked["height_m"], strict=True)
-    ]
-    return stacked
-
-
-def _surroundings(xy_m: Floats, ground_z_m: Floats, points_m: Floats | None) -> list[Surroundings]:
-    """What lies within two metres of each position (n, 2); nothing where nobody looked."""
-    if points_m is None or not len(points_m):
-        return [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy_m)
-    near = cKDTree(points_m[:, :2]).query_ball_point(xy_m, REACH_M, return_sorted=True)
-    return [
-        Surroundings(points_m[index][:, :2] - place, points_m[index][:, 2] - ground)
-        for index, place, ground in zip(near, xy_m, ground_z_m, strict=True)
-    ]
-
-
-# Horizontal candidate positions along edges, on the regular spacing and denser near gaps.
-
-_TANGENT_M = 0.5
-"""The edge's direction at a station is taken from this far behind it to this far ahead."""
-
-_COLUMNS = {
-    **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
-    **dict.fromkeys(("edge", "mount", "key"), "str"),
-}
-"""Columns of a table without any position."""
+_TANGENT_M = 0.5  # the edge's direction is taken from this far behind a station to this far ahead
+_ASIDE_M = 3.0  # how far to either side of an edge pavement is looked for
 
 
 def positions_along(
@@ -219,7 +184,9 @@ def positions_along(
         part["key"] = [f"{name}-s{station:07.2f}" for station in stations]
         parts.append(part)
     if not parts:
-        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _COLUMNS.items()})
+        columns = dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64")
+        columns |= dict.fromkeys(("edge", "mount", "key"), "str")
+        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in columns.items()})
     return pd.concat(parts, ignore_index=True)
 
 
@@ -227,6 +194,25 @@ def _along(line: shapely.LineString, stations_m: Floats) -> Floats:
     """Points (n, 2) at stations, clipped to the line's ends."""
     inside = np.clip(stations_m, 0.0, line.length)
     return shapely.get_coordinates(shapely.line_interpolate_point(line, inside))
+
+
+def facing_deg(xy_m: Floats, direction: Floats, pavement: MultiPolygon) -> Floats:
+    """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
+
+    Where both sides or neither side are pavement (medians, digitised lines off the road), the left
+    side of the edge is taken.
+
+    Parameters
+    ----------
+    xy_m : (n, 2); direction : (n, 2) unit tangents.
+    """
+    left = np.column_stack([-direction[:, 1], direction[:, 0]])
+    on_left, on_right = (
+        shapely.contains_xy(pavement, *(xy_m + sign * _ASIDE_M * left).T) for sign in (1, -1)
+    )
+    normal = np.where((on_right & ~on_left)[:, None], -left, left)
+    # Adding zero turns -0.0 into 0.0, so that the west is always +180.
+    return np.degrees(np.arctan2(normal[:, 1] + 0.0, normal[:, 0]))
 
 
 def near_gaps(positions: pd.DataFrame, gaps_xy_m: Floats, radius_m: float) -> Bools:
@@ -243,43 +229,25 @@ def near_gaps(positions: pd.DataFrame, gaps_xy_m: Floats, radius_m: float) -> Bo
 # shows as free there is rock, fill or a building. Three signs tell: no measured ground at the
 # foot of a mast, a roof that is wider than the space searched for points, and walls all around.
 
+# Surroundings of a position that are looked at: more than the half of a wall between two bores or
+# two carriageways (0.4 to 1.5 m), less than the width of a lane, so that open road shows.
 REACH_M = 2.0
-"""Surroundings of a position that are looked at: more than the half of a wall between two bores or
-two carriageways (0.4 to 1.5 m), less than the width of a lane, so that open road shows."""
-
-_CELLS = 8
-"""Cells along either side of the plan of the surroundings, 0.5 m wide."""
-
-_ROOF_SHARE_SOLID = 0.6
-"""Of the cells of the surroundings, those that a roof covers at its height: more than a gantry (a
-fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
-1 m behind a portal."""
-
+_CELLS = 8  # cells along either side of the plan of the surroundings, 0.5 m wide
+# Of the cells of the surroundings, those that a roof covers at its height: more than a gantry (a
+# fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
+# 1 m behind a portal.
+_WIDE_ROOF_SHARE = 0.6
+# The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m; of
+# a crown with a radius of 2.5 m, half of the cells do.
 _ROOF_SPREAD_M = 0.5
-"""The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m;
-of a crown with a radius of 2.5 m, half of the cells do."""
-
-_THIN_SHARE = 0.35
-"""Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick."""
-
-_ROOF_PERCENTILE_SOLID = 5
-"""Percentile of a roof's points at which it begins: stray points may hang lower."""
-
-_SECTORS = 16
-"""Directions in which walls are looked for."""
-
+_THIN_SHARE = 0.35  # of the cells, those where a roof is thin at least: crowns are metres thick
+_SECTORS = 16  # directions in which walls are looked for
+# Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
+# of them have one, in a corner three quarters, between the faces of a wall nearly all.
 _WALL_SHARE = 0.8
-"""Of the directions, those with walls around a place that is enclosed. Beside a straight wall half
-of them have one, in a corner three quarters, between the faces of a wall nearly all."""
-
-_BAND_M = 0.5
-"""Points so far above and below a place count as walls at its height."""
-
-FOOT_M = 1.5
-"""A mast has measured ground so near: a foundation, and the shadow of a rail or of half a car."""
-
-_FOOT_SPACINGS = 2.0
-"""Spacings of the ground points within which one lies for certain, where that is more."""
+_BAND_M = 0.5  # points so far above and below a place count as walls at its height
+FOOT_M = 1.5  # a mast has measured ground so near: a foundation, the shadow of a rail or half a car
+_FOOT_SPACINGS = 2.0  # or within so many spacings of the ground points, where that is more
 
 
 @dataclass(frozen=True)
@@ -313,10 +281,10 @@ class Surroundings:
         # Of the cells whose middles lie within the reach, which is a circle.
         whole = np.pi / 4 * _CELLS**2
         thin = level & (thick_m <= _ROOF_SPREAD_M)
-        if level.sum() < _ROOF_SHARE_SOLID * whole or thin.sum() < _THIN_SHARE * whole:
+        if level.sum() < _WIDE_ROOF_SHARE * whole or thin.sum() < _THIN_SHARE * whole:
             return np.inf
         body = self.heights_m[above]
-        return float(np.percentile(body[body >= middle - _ROOF_SPREAD_M], _ROOF_PERCENTILE_SOLID))
+        return float(np.percentile(body[body >= middle - _ROOF_SPREAD_M], _ROOF_PERCENTILE))
 
     def walled(self, heights_m: Floats) -> tuple[Bools, Floats]:
         """Whether walls stand around each height, and how near the nearest points beside it are.

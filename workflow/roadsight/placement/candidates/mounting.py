@@ -19,14 +19,10 @@ from roadsight.base.errors import InputError
 from roadsight.base.section import Section
 
 Length = Annotated[float, Field(ge=0, le=1000)]
-
 Money = Annotated[float, Field(ge=0, le=1e12)]
-
+# A cabinet farther than this from every candidate is on another site: cables are of some 100 m.
 _OFF_SITE_M = 2000.0
-"""A cabinet farther than this from every candidate is on another site: cables are of some 100 m."""
-
-_ROUNDING_M = 1e-6
-"""Distances are sums of steps: rounding must not put one beyond the limit that it stands for."""
+_ROUNDING_M = 1e-6  # distances are sums of steps: rounding must not put one beyond its limit
 
 
 class Mounting(Section):
@@ -139,10 +135,7 @@ def building_cost(candidates: pd.DataFrame, rules: Mounting, cable_m: Floats | N
     return np.asarray(np.where(new, mast, 0.0) + cable, np.float64)
 
 
-# Where sensors may hang besides road edges, and where they may not: existing poles, zones.
-
-POLE = "pole"
-"""Mount of positions on poles, and what their keys begin with."""
+POLE = "pole"  # mount of positions on poles, and what their keys begin with
 
 
 def outside_zones(xy_m: Floats, zones: list[shapely.Polygon]) -> Bools:
@@ -165,7 +158,7 @@ def positions_on_poles(poles: pd.DataFrame, pavement: MultiPolygon, arm_m: float
 
     Returns
     -------
-    the columns of `positions.positions_along` and top_m; a pole on the pavement, or where there is
+    the columns of `positions_along` and top_m; a pole on the pavement, or where there is
     no pavement, holds its sensor to the north
     """
     xy = poles[["x", "y"]].to_numpy(np.float64).reshape(-1, 2)

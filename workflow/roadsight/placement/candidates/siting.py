@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -103,7 +101,16 @@ def snapped(
     taken: dict[tuple[float, float], str] = {}
     for point in points.itertuples():
         at = f"{where}, point {point.id}"
-        sensor = _sensor(str(point.kind), sensors, at)
+        sensor = str(point.kind)
+        if sensor in ("", "nan", "None") and len(sensors) == 1:
+            sensor = sensors[0]
+        if sensor not in sensors:
+            raise InputError(
+                "kind names no sensor of the plan",
+                where=at,
+                found=sensor,
+                allowed=", ".join(sensors),
+            )
         nearby = _nearest_place(point, candidates, forbidden, within_m, at)
         place = tuple(candidates.iloc[nearby[0]][["x", "y"]].to_numpy(np.float64))
         if place in taken:
@@ -120,30 +127,14 @@ def snapped(
         height_m = candidates["height_m"].to_numpy(np.float64)[position[all_rows]]
         stated_m = float(str(point.height_m))
         off_m = np.abs(height_m - stated_m) if np.isfinite(stated_m) else np.zeros(len(height_m))
-        off_deg = _turned_apart(
-            str(getattr(point, "candidate", "")), choices["candidate"].iloc[all_rows]
-        )
+        stated, off_deg = str(getattr(point, "candidate", "")), np.zeros(len(all_rows))
+        if split_pose(stated)[0] != stated:
+            named = choices["candidate"].iloc[all_rows].astype(str)
+            turns = np.array([split_pose(name)[1] for name in (stated, *named)])
+            off_deg = np.abs((turns[1:] - turns[0] + 180.0) % 360.0 - 180.0).sum(axis=1)
         order = np.lexsort((height_m, -seen[all_rows], off_deg, off_m))
         rows.append(int(all_rows[order[0]]))
     return rows
-
-
-def _turned_apart(stated: str, names: pd.Series) -> Floats:
-    """Angles (n,) by which poses differ from a stated one, added up; 0 where none is stated."""
-    if split_pose(stated)[0] == stated:
-        return np.zeros(len(names))
-    turns = np.array([split_pose(name)[1] for name in (stated, *names.astype(str))])
-    return np.asarray(np.abs((turns[1:] - turns[0] + 180.0) % 360.0 - 180.0).sum(axis=1))
-
-
-def _sensor(kind: str, sensors: Sequence[str], where: str) -> str:
-    if kind in sensors:
-        return kind
-    if kind in ("", "nan", "None") and len(sensors) == 1:
-        return sensors[0]
-    raise InputError(
-        "kind names no sensor of the plan", where=where, found=kind, allowed=", ".join(sensors)
-    )
 
 
 def _nearest_place(
@@ -169,16 +160,6 @@ def _nearest_place(
             )
     place = xy_m[np.argmax(distance_m <= distance_m.min() + 1e-6)]  # of two as near, the first
     return np.flatnonzero((xy_m == place).all(axis=1) & np.isfinite(distance_m))
-
-
-def reach(matrix: sparse.csr_matrix, place: Ints, forbidden: Bools) -> Ints:
-    """How many places (n,) can see each target, each place counting once."""
-    entries = matrix.tocoo()
-    free = ~forbidden[entries.row]
-    shape = (matrix.shape[1], int(place.max(initial=-1)) + 1)
-    ones = np.ones(int(free.sum()))
-    seen = sparse.csr_matrix((ones, (entries.col[free], place[entries.row[free]])), shape=shape)
-    return np.diff(seen.indptr).astype(np.int64)
 
 
 def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> Bools:

@@ -16,28 +16,19 @@ from roadsight.base.sections.sensing import Targets
 from roadsight.scene.grids import Grid
 
 _USUAL = Targets()
-
-PUBLISHED_POINTS = 25
-"""Pavement points of a cell of 1 m that carries a target in paper 1."""
-
+PUBLISHED_POINTS = 25  # pavement points of a cell of 1 m that carries a target in paper 1
+# The edge's direction beside a target is taken from this far behind it to this far ahead: over
+# about the length of a vehicle, which does not turn with every vertex.
 _TANGENT_M = 2.0
-"""The edge's direction beside a target is taken from this far behind it to this far ahead: over
-about the length of a vehicle, which does not turn with every vertex."""
-
+# A target is to be so many point spacings wide. For the cylinder of 0.5 m these are 9 points/m2:
+# decisions on an OS-128's targets were wrong for 2.1 % at 9 points/m2, 8.7 % at 4 and 1.5 % at 71
+# (`docs/placement/depth-maps.md`).
 _SPACINGS_WIDE = 1.5
-"""A target is to be so many point spacings wide. For the cylinder of 0.5 m these are 9 points/m2:
-decisions on an OS-128's targets were wrong for 2.1 % at 9 points/m2, 8.7 % at 4 and 1.5 % at 71
-(`docs/placement/depth-maps.md`)."""
-
-_FEWEST_POINTS = 3
-"""Fewest points of a cell, however wide targets are: their median is no single stray point."""
-
+_FEWEST_POINTS = 3  # of a cell, however wide targets are: their median is no single stray point
+# Of the points that cells nearby have, the least that a cell must have. Fewer are a hole in the
+# scan, a shadow behind a parked car or a cell that the pavement hardly enters.
 _LOCAL_SHARE = 0.25
-"""Of the points that cells nearby have, the least that a cell must have. Fewer are a hole in the
-scan, a shadow behind a parked car or a cell that the pavement hardly enters."""
-
-_BLOCK_M = 10.0
-"""Side of the blocks over whose cells the density is taken: a few lanes wide."""
+_BLOCK_M = 10.0  # side of the blocks over whose cells the density is taken: a few lanes wide
 
 
 def points_needed(width_m: float, cell_size_m: float) -> int:
@@ -100,9 +91,10 @@ def place_targets(
     dense = points >= np.maximum(min_points, _LOCAL_SHARE * around if local else 0)
     row, column = row[dense], column[dense]
     centre_x, centre_y = grid.centres(column, row)
+    names = [f"t{c}_{r}" for c, r in zip(column + grid.west, row + grid.south, strict=True)]
     return pd.DataFrame(
         {
-            "target": _names(column + grid.west, row + grid.south),
+            "target": pd.Series(names, dtype=str),
             "x": centre_x,
             "y": centre_y,
             "z": median[dense],
@@ -128,22 +120,12 @@ def headings_along(edges: Sequence[LineString], xy_m: Floats) -> Floats:
     return np.asarray(half - (half - heading) % np.pi)
 
 
-def _names(columns: Ints, rows: Ints) -> pd.Series:
-    names = [f"t{column}_{row}" for column, row in zip(columns, rows, strict=True)]
-    return pd.Series(names, dtype=str)
-
-
-# How much of the pavement a set of targets examines, and what it leaves out.
-
+# What a digitised edge cuts off the outline and is nowhere as wide is no road: narrower than the
+# narrowest lanes that are built for cars (AASHTO Green Book 2018, section 4.3: 2.7 m).
 NARROWEST_ROAD_M = 2.5
-"""What a digitised edge cuts off the outline and is nowhere as wide is no road: narrower than the
-narrowest lanes that are built for cars (AASHTO Green Book 2018, section 4.3: 2.7 m)."""
-
-_CUT_M = 1e-3
-"""Width of the cut that a digitised edge makes."""
-
+_CUT_M = 1e-3  # width of the cut that a digitised edge makes
+# Neighbours of a cell, those across a side first.
 _BESIDE = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Neighbours of a cell, those across a side first."""
 
 
 def road_within(outline: MultiPolygon, edges: Sequence[LineString]) -> MultiPolygon:

@@ -9,13 +9,11 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
 
-_RING_M = 3.0
-"""Radius of the ring whose plane is the road's: about a lane to either side of its middle."""
+_RING_M = 3.0  # radius of the ring whose plane is the road's: a lane to either side of its middle
+# How far before the mount the ring's middle is: the ring begins 1 m before the edge, beyond the
+# ditch or bank at the mount's foot.
 _AHEAD_M = 4.0
-"""How far before the mount the ring's middle is: the ring begins 1 m before the edge, beyond the
-ditch or bank at the mount's foot."""
-_RING_POINTS = 16
-"""Heights taken around the ring, evenly: the plane of best fit is then their first harmonic."""
+_RING_POINTS = 16  # heights around the ring, evenly: the best plane is then their first harmonic
 
 
 def road_normals(

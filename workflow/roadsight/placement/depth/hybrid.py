@@ -24,6 +24,33 @@ from roadsight.placement.sensors.sensors import Sensor
 _USUAL = Lidar()
 
 
+class Spherical(NamedTuple):
+    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
+
+    azimuth_deg: Floats
+    elevation_deg: Floats
+    range_m: Floats
+
+
+class Bins(NamedTuple):
+    """Points sorted into bins of azimuth (all around) and elevation.
+
+    Parameters
+    ----------
+    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
+    order : (n,) points by bin, in input order inside a bin.
+    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
+    """
+
+    start: Ints
+    order: Ints
+    columns: int
+    rows: int
+    width_deg: float
+    height_deg: float
+    bottom_deg: float
+
+
 def preliminary_depth(
     xyz_m: NDArray[np.floating], sensor: Sensor, position_m: ArrayLike, yaw_deg: float
 ) -> Floats32:
@@ -143,41 +170,10 @@ def _least(
             least[row, column] = min(least[row, column], points.range_m[i])
 
 
-# Nearest neighbours in azimuth and elevation, and ranges interpolated from them.
-
+# Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
+# found stays the same.
 _BINS_IN_REACH = 6
-"""Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
-found stays the same."""
-
-_ON_BEAM_M = 1e-9
-"""Points this near to the beam are on it: the inverse of their distance means nothing."""
-
-
-class Spherical(NamedTuple):
-    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
-
-    azimuth_deg: Floats
-    elevation_deg: Floats
-    range_m: Floats
-
-
-class Bins(NamedTuple):
-    """Points sorted into bins of azimuth (all around) and elevation.
-
-    Parameters
-    ----------
-    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
-    order : (n,) points by bin, in input order inside a bin.
-    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
-    """
-
-    start: Ints
-    order: Ints
-    columns: int
-    rows: int
-    width_deg: float
-    height_deg: float
-    bottom_deg: float
+_ON_BEAM_M = 1e-9  # nearer points are on the beam: the inverse of their distance means nothing
 
 
 def bin_points(points: Spherical, reach_deg: float, edges_deg: Floats) -> Bins:

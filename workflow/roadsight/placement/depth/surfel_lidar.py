@@ -7,8 +7,6 @@ the place of the sensor, its samples tell the share of beams that passed, and vo
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,15 +22,12 @@ from roadsight.scene.samples import Samples, build_samples
 from roadsight.scene.surfels import Surfels, build_local_surfels
 from roadsight.scene.voxel_planes import coarsen, sum_moments
 
+# Corners of a square about its middle, in half edges, in turn.
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-"""Corners of a square about its middle, in half edges, in turn."""
-
+# Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
+# (docs/decisions/011-surfels.md).
 SURFEL_M = Lidar().surfel_size_m
-"""Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
-(docs/decisions/011-surfels.md)."""
-
-_FARTHEST_M = 1e6
-"""Limit of rays without any: rays need a finite one, and no site is so large."""
+_FARTHEST_M = 1e6  # limit of rays without any: rays need a finite one, and no site is so large
 
 
 class SurfelLidar:
@@ -61,13 +56,14 @@ class SurfelLidar:
         self._samples = samples
         self._votes = votes or VoteSettings()
         self._origin_m = np.zeros(3)
-        self._scene = None
+        self._scene: EmbreeRays | Open3dRays | None = None
         if len(surfels):
             # Embree works in single precision, which is good for millimetres near its origin only.
             self._origin_m = np.round(surfels.centre_m.mean(axis=0, dtype=np.float64))
             corners_m = _corners(surfels, self._origin_m)
             faces = np.arange(4 * len(surfels), dtype=np.int32).reshape(-1, 4)
-            self._scene = rays_at(corners_m.reshape(-1, 3), faces, engine)
+            kind = EmbreeRays if engine == OWN else Open3dRays
+            self._scene = kind(corners_m.reshape(-1, 3), faces)
 
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
@@ -82,8 +78,12 @@ class SurfelLidar:
         """
         directions = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
         limit_m = min(max_range_m, _FARTHEST_M)
-        range_m = self._first_surfels(origins_m, directions, limit_m)
-        if self._scene is None or self._samples is None or len(directions) == 0:
+        if self._scene is None or len(directions) == 0:
+            return np.full(len(directions), np.inf, np.float32)
+        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
+        range_m = self._scene.first_hits(origins, directions, limit_m)
+        range_m[range_m >= np.float32(limit_m)] = np.inf
+        if self._samples is None:
             return range_m
         places, member = np.unique(
             np.asarray(origins_m, np.float64).reshape(-1, 3), axis=0, return_inverse=True
@@ -95,17 +95,6 @@ class SurfelLidar:
             rays = slice(None) if len(places) == 1 else np.flatnonzero(member.ravel() == number)
             range_m[rays] = view.ranges(directions[rays], range_m[rays])
         range_m[range_m >= limit_m] = np.inf
-        return range_m
-
-    def _first_surfels(
-        self, origins_m: ArrayLike, directions: Floats32, max_range_m: float
-    ) -> Floats32:
-        """Ranges (n,) of the first surfels, infinite where there is none."""
-        if self._scene is None or len(directions) == 0:
-            return np.full(len(directions), np.inf, np.float32)
-        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
-        range_m = self._scene.first_hits(origins, directions, max_range_m)
-        range_m[range_m >= np.float32(max_range_m)] = np.inf
         return range_m
 
     def depth_map(
@@ -185,11 +174,17 @@ def _corners(surfels: Surfels, origin_m: Floats) -> Floats32:
     return corners
 
 
-# First hits of rays on flat faces: Intel Embree by its own interface, or through Open3D.
+class EmbreeRays:
+    """First hits of rays on flat faces, on one thread.
 
+    Parameters
+    ----------
+    corners_m : (n, 3), near the origin: Embree works in single precision.
+    faces : (m, 4) rows of corners, in turn.
+    """
 
-class Rays(Protocol):
-    """Faces that rays can be cast at."""
+    def __init__(self, corners_m: Floats32, faces: Ints32) -> None:
+        self._scene = RayScene(corners_m, faces)
 
     def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
         """Ranges (n,) of the first faces; ``limit_m`` or more where there is none before it.
@@ -199,37 +194,11 @@ class Rays(Protocol):
         origins_m : (n, 3), or (3,) for rays from one point, in the faces' frame.
         directions : (n, 3) unit vectors.
         """
-
-
-def rays_at(corners_m: Floats32, faces: Ints32, engine: Engine = OWN) -> Rays:
-    """Flat faces made ready for rays, on one thread.
-
-    Parameters
-    ----------
-    corners_m : (n, 3), near the origin: Embree works in single precision.
-    faces : (m, 4) rows of corners, in turn.
-
-    Raises
-    ------
-    InputError : the engine open3d cannot be loaded.
-    """
-    kind = EmbreeRays if engine == "own" else Open3dRays
-    return kind(corners_m, faces)
-
-
-class EmbreeRays:
-    """By `RayScene`."""
-
-    def __init__(self, corners_m: Floats32, faces: Ints32) -> None:
-        self._scene = RayScene(corners_m, faces)
-
-    def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
-        """See `Rays`."""
         return self._scene.first_hits(origins_m, directions, limit_m).range_m
 
 
 class Open3dRays:
-    """By Open3D's RaycastingScene, which keeps its own copy of the triangles."""
+    """The same by Open3D's RaycastingScene, which keeps its own copy of the triangles."""
 
     def __init__(self, corners_m: Floats32, faces: Ints32) -> None:
         o3d = open3d("lidar.engine")
@@ -242,7 +211,7 @@ class Open3dRays:
         )
 
     def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
-        """See `Rays`; ranges beyond the limit are cast too and dropped by the caller."""
+        """As of `EmbreeRays`; ranges beyond the limit are cast too and dropped by the caller."""
         origins = np.broadcast_to(origins_m, directions.shape)
         rays = self._tensor.from_numpy(np.hstack([origins, directions]))
         hits = self._scene.cast_rays(rays, nthreads=1)

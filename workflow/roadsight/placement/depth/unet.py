@@ -22,22 +22,17 @@ from roadsight.base.sections.sensing import CellFilling
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.sensors.sensors import Sensor
 
+# A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or to
+# refined ones alone (1, 1, h, w), as the paper's is.
 Run = Callable[[Floats32], Floats32]
-"""A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w), or
-to refined ones alone (1, 1, h, w), as the paper's is."""
-
-HALO_CELLS = 56
-"""How far around a cell the network looks, rounded up."""
-
-TILE_CELLS = 720
-"""Columns of a map that the network refines at once: bounds the memory."""
-
+STEP_DEG = 0.1  # cells of the fine grid, both ways (Table 1)
+MULTIPLE_CELLS = 8  # both sides of what a network sees are multiples of this
+HALO_CELLS = 56  # how far around a cell the network looks, rounded up
+TILE_CELLS = 720  # columns of a map that the network refines at once: bounds the memory
+# How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
+# field of view of -22.5 to 22.5.
 _CONTEXT_DEG = 2.5
-"""How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
-field of view of -22.5 to 22.5."""
-
-_LARGEST_STEP = 0.05
-"""Ranges of neighbouring cells that differ by a greater share are of two surfaces."""
+_LARGEST_STEP = 0.05  # neighbouring ranges that differ by a greater share are of two surfaces
 
 
 def unet_depth(
@@ -180,9 +175,6 @@ def _between(one_m: Floats32, other_m: Floats32, share: Floats32) -> Floats32:
     return np.where(same, blended, nearer).astype(np.float32)
 
 
-# Linear interpolation in depth maps (paper 1, Fig. 12, the second way of deployment).
-
-
 def fill_linearly(depth_m: Floats32, wanted: Bools, *, wraps: bool = True) -> Floats32:
     """Ranges of the wanted cells, 0 elsewhere; shape (rows, columns).
 
@@ -231,16 +223,9 @@ def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     return range_m, gap
 
 
-# Sensors of training pairs (paper 1, section 2.4 and Table 1).
-
-ROWS = 500
-"""Rows of the paper's maps: -25 to 25 degrees (Table 1)."""
-
-RANGES_M = tuple(range(50, 201, 10))
-"""Ranges of the paper's pairs (Table 1)."""
-
-HEIGHTS_M = (4.0, 20.0)
-"""Heights of the paper's sensors above the ground."""
+ROWS = 500  # rows of the paper's maps: -25 to 25 degrees (Table 1)
+RANGES_M = tuple(range(50, 201, 10))  # ranges of the paper's pairs (Table 1)
+HEIGHTS_M = (4.0, 20.0)  # heights of the paper's sensors above the ground
 
 
 def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
@@ -249,15 +234,6 @@ def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
     first = STEP_DEG * int(rng.integers(-1800, 1800 - round(span_deg / STEP_DEG) + 1))
     range_m = float(rng.choice(RANGES_M))
     return grid_sensor((first, first + span_deg), (-ROWS // 2, ROWS // 2), range_m)
-
-
-# What networks that refine depth maps, and their training, agree on (paper 1, Table 1).
-
-STEP_DEG = 0.1
-"""Cells of the fine grid, both ways."""
-
-MULTIPLE_CELLS = 8
-"""Both sides of what a network sees are multiples of this."""
 
 
 def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
@@ -272,21 +248,13 @@ def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
     return ((depth_m - np.float32(low)) / np.float32(high - low)).astype(np.float32), low, high
 
 
-# The ways to a depth map, by their names in the settings.
-
 _USUAL = CellFilling()
-
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
-
-NETWORK_MODELS = tuple(_UNETS)
-"""Those that need a network."""
-
-Network = Callable[[Floats32], Floats32]
-"""Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w)."""
+NETWORK_MODELS = tuple(_UNETS)  # those that need a network
 
 
 def model_of_points(
-    name: str, network: Network | None = None, *, filling: CellFilling = _USUAL
+    name: str, network: Run | None = None, *, filling: CellFilling = _USUAL
 ) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 

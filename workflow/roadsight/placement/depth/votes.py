@@ -16,22 +16,14 @@ from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.samples import Samples
 
-_COLUMNS = 12
-"""Of a row of a view: see `_seen_from`."""
-_VIEW_SIZE = 1
-"""Samples of this size show how spacing grows with range."""
-_VIEW_SAMPLES = 20_000
-"""So many of them: a median over some thousand a band is good to a per cent."""
-_VIEW_FROM_M = 2.0
-"""From this range on: nearer, a vehicle hides the ground."""
-_VIEW_BAND = 1.5
-"""Bands of range end at so many times where they begin."""
-_VIEW_LEAST = 50
-"""Samples of a band that has a median."""
-_BLOCK_RADIUS_M = 6.0
-"""No sample of a block of 6.4 m lies farther than this from its centre."""
-_BLOCK_NEAR_M = 3.0
-"""Half a block: its nearest samples decide the size that it is taken in."""
+_COLUMNS = 12  # of a row of a view: see `_seen_from`
+_VIEW_SIZE = 1  # samples of this size show how spacing grows with range
+_VIEW_SAMPLES = 20_000  # so many of them: a median over some thousand a band is good to a per cent
+_VIEW_FROM_M = 2.0  # from this range on: nearer, a vehicle hides the ground
+_VIEW_BAND = 1.5  # bands of range end at so many times where they begin
+_VIEW_LEAST = 50  # samples of a band that has a median
+_BLOCK_RADIUS_M = 6.0  # no sample of a block of 6.4 m lies farther than this from its centre
+_BLOCK_NEAR_M = 3.0  # half a block: its nearest samples decide the size that it is taken in
 
 
 @dataclass(frozen=True)
@@ -90,14 +82,15 @@ class View:
         max_range_m: float,
         settings: VoteSettings,
     ) -> None:
-        self._settings = settings
-        self._samples = samples
-        self._begin, self._end = _rows(samples, origin_m, max_range_m, settings.sample_rad)
-        self._buckets = (
-            int(np.ceil(4 / settings.bucket_rad)),
-            int(np.ceil(2 / settings.bucket_rad)),
-        )
-        s = samples
+        self._settings, s = settings, samples
+        # Rows of the blocks in range, each in the size that its range calls for.
+        away_m = np.linalg.norm(s.block_m - np.asarray(origin_m, np.float64), axis=1)
+        reached = np.flatnonzero(away_m - _BLOCK_RADIUS_M <= max_range_m)
+        wanted = np.maximum(away_m[reached] - _BLOCK_NEAR_M, s.edge_m)
+        wanted = wanted * settings.sample_rad / s.edge_m
+        size = np.clip(np.floor(np.log2(wanted)), 0, len(s.starts) - 1).astype(np.int64)
+        bucket_rad = settings.bucket_rad
+        self._buckets = int(np.ceil(4 / bucket_rad)), int(np.ceil(2 / bucket_rad))
         self._seen, self._starts, self._least, self._most = _seen_from(
             s.xyz_m,
             s.points,
@@ -106,8 +99,8 @@ class View:
             s.spread_m,
             s.reach_m,
             s.spacing_m,
-            self._begin,
-            self._end,
+            s.starts[size, reached],
+            s.starts[size, reached + 1],
             np.asarray(origin_m, np.float64),
             max_range_m,
             *self._buckets,
@@ -169,33 +162,6 @@ def seen_from_here(
     middle = np.array([np.median(log_m[:, band == number], axis=1) for number in enough])
     away = middle[:, 0] - middle[:, 0].mean()
     return bool((away * middle[:, 1]).sum() >= settings.own_view * (away**2).sum())
-
-
-def _rows(
-    samples: Samples, origin_m: NDArray[np.floating], max_range_m: float, sample_rad: float
-) -> tuple[Ints, Ints]:
-    """First and last rows of the blocks in range, each in the size that its range calls for."""
-    edge_m = samples.edge_m
-    away_m = np.linalg.norm(samples.block_m - np.asarray(origin_m, np.float64), axis=1)
-    reached = np.flatnonzero(away_m - _BLOCK_RADIUS_M <= max_range_m)
-    wanted = np.maximum(away_m[reached] - _BLOCK_NEAR_M, edge_m) * sample_rad / edge_m
-    size = np.clip(np.floor(np.log2(wanted)), 0, len(samples.starts) - 1).astype(np.int64)
-    return samples.starts[size, reached], samples.starts[size, reached + 1]
-
-
-@compiled()
-def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[float, float]:
-    """Place of a unit vector on the grid of buckets: pseudo-angle and sine of the elevation.
-
-    The pseudo-angle (0 to 4 around) grows at most as fast as the azimuth, and needs no arctangent.
-    """
-    flat = abs(x) + abs(y)
-    turn = y / flat if flat > 0 else 0.0
-    if x < 0:
-        turn = 2 - turn
-    elif y < 0:
-        turn = 4 + turn
-    return turn * columns / 4, (z + 1) * rows / 2
 
 
 @compiled()
@@ -269,6 +235,81 @@ def _seen_from(
                 most[key[n]] = max(most[key[n]], r)
             n += 1
     return seen, starts, least, most
+
+
+@compiled()
+def _vote(
+    directions: Floats32,
+    first_m: Floats32,
+    seen: Floats32,
+    starts: Ints32,
+    least: Floats32,
+    most: Floats32,
+    columns: int,
+    rows: int,
+    voters: int,
+    fewer_m: float,
+    bucket_rad: float,
+    widest_rad: float,
+    layer_m: float,
+    beam_m: float,
+    axis_m: float,
+    trusted_m: float,
+    reach: float,
+    touch: float,
+    agreeing: int,
+) -> Floats32:
+    out = first_m.copy()
+    room = 4 * voters
+    found, gap2 = np.empty(room, np.int64), np.empty(room)
+    t, weight, stops, near = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    for beam in range(len(directions)):
+        d = directions[beam]
+        if first_m[beam] < np.inf:
+            box = _box(d, columns, rows, bucket_rad)
+            if _agree(starts, least, most, columns, box, first_m[beam], layer_m, agreeing):
+                continue
+        radius = _cone(d, starts, columns, rows, voters, bucket_rad, widest_rad)
+        if radius == 0:
+            continue
+        n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
+        if 2 * n < voters and radius < widest_rad:
+            radius = min(2 * radius, widest_rad)
+            n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
+        n, radius = _narrower(seen, found, gap2, n, radius, fewer_m)
+        for k in range(n):
+            row = seen[found[k]]
+            met = _met_at(row, d, trusted_m, reach)
+            gap_m2 = gap2[k] * row[3] * row[3]
+            kernel = (1 - gap2[k] / (radius * radius)) * row[11]
+            place = k
+            while place > 0 and t[place - 1] > met:
+                t[place], weight[place] = t[place - 1], weight[place - 1]
+                stops[place], near[place] = stops[place - 1], near[place - 1]
+                place -= 1
+            t[place], weight[place] = met, kernel
+            on_axis = max(1 - gap_m2 / beam_m**2, 0.0) if row[3] < axis_m else 0.0
+            stops[place] = kernel * (1 + on_axis)
+            near[place] = gap_m2 - (touch * row[10]) ** 2
+        voted_m = _first_layer(t, weight, stops, near, n, layer_m)
+        if voted_m < np.inf:
+            out[beam] = voted_m
+    return out
+
+
+@compiled()
+def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[float, float]:
+    """Place of a unit vector on the grid of buckets: pseudo-angle and sine of the elevation.
+
+    The pseudo-angle (0 to 4 around) grows at most as fast as the azimuth, and needs no arctangent.
+    """
+    flat = abs(x) + abs(y)
+    turn = y / flat if flat > 0 else 0.0
+    if x < 0:
+        turn = 2 - turn
+    elif y < 0:
+        turn = 4 + turn
+    return turn * columns / 4, (z + 1) * rows / 2
 
 
 @compiled()
@@ -408,66 +449,6 @@ def _cone(
     if count == 0:
         return 0.0
     return float(half * min(np.sqrt(4 / np.pi * voters / count) * 1.25, 1.0))
-
-
-@compiled()
-def _vote(
-    directions: Floats32,
-    first_m: Floats32,
-    seen: Floats32,
-    starts: Ints32,
-    least: Floats32,
-    most: Floats32,
-    columns: int,
-    rows: int,
-    voters: int,
-    fewer_m: float,
-    bucket_rad: float,
-    widest_rad: float,
-    layer_m: float,
-    beam_m: float,
-    axis_m: float,
-    trusted_m: float,
-    reach: float,
-    touch: float,
-    agreeing: int,
-) -> Floats32:
-    out = first_m.copy()
-    room = 4 * voters
-    found, gap2 = np.empty(room, np.int64), np.empty(room)
-    t, weight, stops, near = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    for beam in range(len(directions)):
-        d = directions[beam]
-        if first_m[beam] < np.inf:
-            box = _box(d, columns, rows, bucket_rad)
-            if _agree(starts, least, most, columns, box, first_m[beam], layer_m, agreeing):
-                continue
-        radius = _cone(d, starts, columns, rows, voters, bucket_rad, widest_rad)
-        if radius == 0:
-            continue
-        n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
-        if 2 * n < voters and radius < widest_rad:
-            radius = min(2 * radius, widest_rad)
-            n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
-        n, radius = _narrower(seen, found, gap2, n, radius, fewer_m)
-        for k in range(n):
-            row = seen[found[k]]
-            met = _met_at(row, d, trusted_m, reach)
-            gap_m2 = gap2[k] * row[3] * row[3]
-            kernel = (1 - gap2[k] / (radius * radius)) * row[11]
-            place = k
-            while place > 0 and t[place - 1] > met:
-                t[place], weight[place] = t[place - 1], weight[place - 1]
-                stops[place], near[place] = stops[place - 1], near[place - 1]
-                place -= 1
-            t[place], weight[place] = met, kernel
-            on_axis = max(1 - gap_m2 / beam_m**2, 0.0) if row[3] < axis_m else 0.0
-            stops[place] = kernel * (1 + on_axis)
-            near[place] = gap_m2 - (touch * row[10]) ** 2
-        voted_m = _first_layer(t, weight, stops, near, n, layer_m)
-        if voted_m < np.inf:
-            out[beam] = voted_m
-    return out
 
 
 @compiled()

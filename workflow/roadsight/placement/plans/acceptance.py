@@ -16,46 +16,35 @@ from scipy.spatial.transform import Rotation
 
 from roadsight.base.arrays import Bools, Floats
 
-_BEAMS = 25
-"""Neighbouring beams of a plane: a window of 5 by 5."""
-_THICK_M = 0.05
-"""Thickness of a plane, at most: the noise of cloud and LiDAR, and grass."""
-_FLAT = 0.2
-"""The same by its width: what is thicker is a crown, an edge or a rod."""
-_POINTS = 6_000
-"""Points that are registered, evenly drawn: more of them move the pose by less than 1 mm."""
-_HEADINGS = 36
-"""Headings that are tried first, all around."""
-_KEPT_HEADINGS = 3
-"""So many of them, those that agree best, are registered."""
+_BEAMS = 25  # neighbouring beams of a plane: a window of 5 by 5
+_THICK_M = 0.05  # thickness of a plane, at most: the noise of cloud and LiDAR, and grass
+_FLAT = 0.2  # the same by its width: what is thicker is a crown, an edge or a rod
+_POINTS = 6_000  # points that are registered, evenly drawn: more move the pose by less than 1 mm
+_HEADINGS = 36  # headings that are tried first, all around
+_KEPT_HEADINGS = 3  # so many of them, those that agree best, are registered
+# How near a plane a point must lie to count, from coarse to fine: a sensor that stands where it was
+# planned starts within the first.
 _NEAR_M = (3.0, 1.0, 0.5, 0.25)
-"""How near a plane a point must lie to count, from coarse to fine: a sensor that stands where it
-was planned starts within the first."""
-_STEPS = 12
-"""Steps of registration at each."""
+_STEPS = 12  # steps of registration at each
+# A beam agrees if it ends this near the planned beams around it: three times the noise of a LiDAR
+# and a cloud together, and the height of a kerb.
 AGREE_M = 0.15
-"""A beam agrees if it ends this near the planned beams around it: three times the noise of a LiDAR
-and a cloud together, and the height of a kerb."""
-_ASIDE = 2.0
-"""Steps between beams that a measured one may lie away from a planned one that returned."""
+_ASIDE = 2.0  # steps between beams that a measured one may lie from a planned one that returned
+# Weight of points in no plane: each is drawn to the point of its own beam, not where it belongs, so
+# that they only hold what no plane does.
 _LOOSE = 0.01
-"""Weight of points in no plane: each is drawn to the point of its own beam, not where it belongs,
-so that they only hold what no plane does."""
-_AROUND = 4
-"""Planned beams around a measured one."""
-_LEVEL = 0.7
-"""Planes whose normals rise more than this are ground or the like."""
+_AROUND = 4  # planned beams around a measured one
+_LEVEL = 0.7  # planes whose normals rise more than this are ground or the like
+# Share of the beams that must agree for a scan to be of the place: on the generated highway those
+# of other places reached 0.43, of the next sensors in one tunnel 0.85, of the place itself 0.99.
 SAME_PLACE = 0.5
-"""Share of the beams that must agree for a scan to be of the place: on the generated highway those
-of other places reached 0.43, of the next sensors in one tunnel 0.85, of the place itself 0.99."""
+# The same of beams that end on anything but level ground, which is alike anywhere: 0.2 on another
+# street as level as this, nearly 1 at the place itself.
 SAME_STRUCTURE = 0.3
-"""The same of beams that end on anything but level ground, which is alike anywhere: 0.2 on another
-street as level as this, nearly 1 at the place itself."""
+# Beams of the measured scan that must reach a target, or as few as the plan asks for: rows lie a
+# little beside where they were planned, so that fewer meet a target than the plan counts.
 _FEWEST_BEAMS = 2
-"""Beams of the measured scan that must reach a target, or as few as the plan asks for: rows lie a
-little beside where they were planned, so that fewer meet a target than the plan counts."""
-_FEWEST = 100
-"""Planes and points from which a pose can be found."""
+_FEWEST = 100  # planes and points from which a pose can be found
 
 
 class Target(NamedTuple):
@@ -164,12 +153,14 @@ def register(scan_xyz_m: Floats, planned: Planned) -> Registered:
     position_m = planned.position_m
     if len(planned.xyz_m) < _FEWEST or len(scan_xyz_m) < _FEWEST:
         return _compared(scan_xyz_m, planned, *start)
-    points = scan_xyz_m[_evenly(len(scan_xyz_m), _POINTS)]
+    count = len(scan_xyz_m)
+    points = scan_xyz_m[np.unique(np.linspace(0, count - 1, min(count, _POINTS)).astype(np.int64))]
     tree = cKDTree(planned.xyz_m)
     turns = [Rotation.from_euler("z", 360 * k / _HEADINGS, degrees=True) for k in range(_HEADINGS)]
     starts = [(turn.as_matrix(), position_m - turn.apply(position_m)) for turn in turns]
     few = points[:: max(len(points) // 1_000, 1)]
-    shares = [_near_share(few, tree, pose) for pose in starts]
+    away = [tree.query(few @ turn.T + shift, distance_upper_bound=1.0)[0] for turn, shift in starts]
+    shares = [float(np.isfinite(one).mean()) for one in away]
     best = np.argsort(-np.array(shares), kind="stable")[:_KEPT_HEADINGS]
     found = []
     for k in dict.fromkeys([0, *best.tolist()]):  # the heading as planned in any case
@@ -182,15 +173,6 @@ def register(scan_xyz_m: Floats, planned: Planned) -> Registered:
         found.append(_compared(points, planned, *pose))
     fit = max(found, key=lambda one: one.share)
     return _compared(scan_xyz_m, planned, fit.rotation, fit.shift_m)
-
-
-def _evenly(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
-
-
-def _near_share(points: Floats, tree: cKDTree, pose: tuple[Floats, Floats]) -> float:
-    away = tree.query(points @ pose[0].T + pose[1], distance_upper_bound=1.0)[0]
-    return float(np.isfinite(away).mean())
 
 
 def _stepped(

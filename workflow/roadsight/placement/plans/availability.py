@@ -19,16 +19,15 @@ from roadsight.placement.sight.common_traffic import (
 from roadsight.placement.sight.lanes import Traffic
 from roadsight.setcover.plans.joint import JointProblem
 
+# Greatest share that a sensor's gain -log(1 - p) is taken of: certainty would gain without end, and
+# a share that is stored as float32 is never certain.
 _MOST_SHARE = 1 - 1e-9
-"""Greatest share that a sensor's gain -log(1 - p) is taken of: certainty would gain without end,
-and a share that is stored as float32 is never certain."""
-_TOLERANCE = 1e-9
-"""Rounding of joint shares: a target that lacks no more of the level reaches it."""
+_TOLERANCE = 1e-9  # rounding of joint shares: a target that lacks no more of the level reaches it
+# Targets for which a round adds a constraint, those that lack the most. With more of them there are
+# fewer rounds, each with a larger problem.
 _CUTS = 40
-"""Targets for which a round adds a constraint, those that lack the most. With more of them there
-are fewer rounds, each with a larger problem."""
+# Limits of the classes in which availability is counted.
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999, 1.0)
-"""Limits of the classes in which availability is counted."""
 
 
 def share_matrix(
@@ -131,11 +130,18 @@ class CommonTraffic:
 
     def joint_shares(self, chosen: Ints) -> Floats:
         """How often at least one of chosen rows sees each target (targets,)."""
-        self._walk(chosen)
-        rows = self.shares[chosen].tocsc()
+        # Spans of all targets that a row sees are found together.
+        for row in chosen.tolist():
+            targets = self.shares.indices[self.shares.indptr[row] : self.shares.indptr[row + 1]]
+            place = self._place[row]
+            new = [int(t) for t in targets if (place, int(t)) not in self._spans]
+            if new:
+                found = spans_in_the_way(self.traffic, self.sensors_m[row], self.points_m[new])
+                self._spans |= {(place, t): s.copy() for t, s in zip(new, found, strict=True)}
+        rows, per_m = self.shares[chosen].tocsc(), self.traffic.per_m
         return np.array(
             [
-                joint_share([self._span(int(chosen[k]), t) for k in _column(rows, t)], self._per_m)
+                joint_share([self._span(int(chosen[k]), t) for k in _column(rows, t)], per_m)
                 for t in range(len(self.points_m))
             ]
         )
@@ -157,24 +163,21 @@ class CommonTraffic:
             cuts.setdefault(cut.tobytes(), cut)
         return list(cuts.values())
 
-    @property
-    def _per_m(self) -> Floats:
-        return self.traffic.per_m
-
     def _of_no_help(self, target: int, rows: Ints, chosen: Ints) -> Ints:
         """Rows that all together leave a target below the level, the chosen ones among them.
 
         The chosen rows are joined by others as long as the level is not reached, and by those that
         are hidden whenever one of these is.
         """
+        per_m = self.traffic.per_m
         spans = {int(row): self._span(int(row), target) for row in rows}
         inside = rows[np.isin(rows, chosen)].tolist()
         others = [int(row) for row in rows if int(row) not in inside]
-        alone = {row: joint_share([spans[row]], self._per_m) for row in others}
+        alone = {row: joint_share([spans[row]], per_m) for row in others}
         for row in sorted(others, key=lambda r: (alone[r], r)):
             if len(inside) >= MOST_SENSORS:
                 break
-            together = joint_share([spans[r] for r in [*inside, row]], self._per_m)
+            together = joint_share([spans[r] for r in [*inside, row]], per_m)
             if together < self.level - _TOLERANCE:
                 inside.append(row)
         covered = [
@@ -183,16 +186,6 @@ class CommonTraffic:
             if row not in inside and any(contains(spans[row], spans[one]) for one in inside)
         ]
         return np.array([*inside, *covered], np.int64)
-
-    def _walk(self, chosen: Ints) -> None:
-        """Spans of all targets that chosen rows see."""
-        for row in chosen.tolist():
-            targets = self.shares.indices[self.shares.indptr[row] : self.shares.indptr[row + 1]]
-            place = self._place[row]
-            new = [int(t) for t in targets if (place, int(t)) not in self._spans]
-            if new:
-                found = spans_in_the_way(self.traffic, self.sensors_m[row], self.points_m[new])
-                self._spans |= {(place, t): s.copy() for t, s in zip(new, found, strict=True)}
 
     def _span(self, row: int, target: int) -> Floats:
         key = (self._place[row], target)

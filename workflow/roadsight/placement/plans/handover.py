@@ -15,12 +15,10 @@ from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.light import reflectivity_range_m
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
+# The road goes on before and beyond its longest edge as the edge does over this length: longer than
+# the rounding of a corner, at which automatic edges end.
 _END_M = 20.0
-"""The road goes on before and beyond its longest edge as the edge does over this length: longer
-than the rounding of a corner, at which automatic edges end."""
-
-_TANGENT_M = 1.0
-"""The direction of a line at a place is taken over so much before and after it."""
+_TANGENT_M = 1.0  # the direction of a line at a place is taken over so much before and after it
 
 
 def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
@@ -127,14 +125,10 @@ def frames_per_s(sensor: AnySensor, frames_hz: float) -> float:
     return 0.0
 
 
-# What a plan would lose if its sensors reached less far: dark targets, a weaker sensor.
-
-DARK = 0.1
-"""Reflectivity of dark targets: the second one at which data sheets state a range."""
-
+DARK = 0.1  # reflectivity of dark targets: the second one at which data sheets state a range
+# Of the range, what is left of it: ranges on data sheets hold for half of the pulses or more, in
+# good air, of a new sensor behind a clean window.
 SHORTER = 2 / 3
-"""Of the range, what is left of it: ranges on data sheets hold for half of the pulses or more, in
-good air, of a new sensor behind a clean window."""
 
 
 def dark_range_m(sensor: AnySensor, range_m: float) -> float:

@@ -23,11 +23,9 @@ from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.second import chosen_again
 from roadsight.setcover.plans.whole import solve_whole
 
-_LISTED = 50
-"""Interchangeable positions named for each sensor; how many there are is told in any case."""
-
+_LISTED = 50  # interchangeable positions named for each sensor; their number is told in any case
+# A cover of the same cost that is better in another way.
 Better = Callable[[Deployment, Cover], Cover]
-"""A cover of the same cost that is better in another way."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +66,31 @@ def answer(
     InputError : nothing meets what is asked, or nothing was found within the limit.
     """
     deployment = posed.deployment
-    cover = _solve(deployment, effort, seed, gap)
+    limit = effort.limit()
+    plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
+    if effort.solver == HIGHS:
+        cover = solve_whole(deployment, limit, gap)
+    elif plain and math.isinf(deployment.budget):  # a plain cover by the solver for covers
+        equal = len(np.unique(deployment.problem.costs)) == 1
+        solve = solve_cover_problem if equal else solve_costly_cover
+        cover = solve(deployment.problem, limit, seed, gap)
+    else:
+        cover = solve_deployment(deployment, limit, seed, gap).cover
     _check(asked, cover, effort.seconds)
     if better is not None:
         cover = better(deployment, cover)
     names = choices["candidate"].astype(str).to_numpy()
     position = choices["position"].to_numpy(np.int64)
     name = lambda row: str(names[row])  # noqa: E731
-    failures = _losses(posed, cover.chosen)
-    record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
+    # What the plan is for, with its value and its bound.
+    goal = {"kind": "cost", "value": cover.objective, "bound": cover.bound}
+    if "budget" in asked.options:
+        goal = {"kind": "coverage", "value": -cover.objective, "bound": -cover.bound}
+    elif "price" in asked.options:
+        most = deployment.worth * deployment.total
+        value, bound = cover.objective + most, cover.bound + most
+        goal = {"kind": "cost and price", "value": value, "bound": bound}
+    record = {"asked": asked.options, "goal": goal}
     record |= _targets_record(asked, posed, deployment, cover, name)
     if "curve" in asked.options:
         record["curve"] = _curve(asked, posed, cover, effort, seed, gap)
@@ -84,7 +98,10 @@ def answer(
     different = np.empty(0, np.int64)
     if asked.options.get("alternatives"):
         others = replacements(deployment, cover.chosen)
-        place = _places(candidates, position)
+        # All heights of one place share its number.
+        xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+        number = np.unique(xy_m, axis=0, return_inverse=True)[1].reshape(-1)
+        place = number.astype(np.int64)[position]
         found = most_different(deployment, cover.chosen, place, effort.limit(), seed)
         swaps = [(k, int(row)) for k, rows in enumerate(others) for row in rows]
         different = found.chosen
@@ -96,28 +113,24 @@ def answer(
             "least_shared_places": found.least_shared,
             "different": [name(row) for row in found.chosen],
         }
+    # Weight that is no longer seen often enough when a sensor fails. How often is what the targets
+    # need, not what a plan that survives failures makes of it.
+    rows = deployment.problem.matrix[cover.chosen]
+    count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
+    need = posed.targets["needed"].to_numpy(np.int64)
+    weight = posed.targets["weight"].to_numpy(np.float64)
     sensors = pd.DataFrame(
         {
             "cost": deployment.problem.costs[cover.chosen],
-            "loses": failures,
+            "loses": np.asarray(rows @ np.where((count == need) & (need > 0), weight, 0.0)),
             "mandatory": deployment.problem.mandatory[cover.chosen],
             "pole": [posed.pole[position[row]] for row in cover.chosen],
         }
     )
-    return Answer(_in_cost(deployment, cover), record, sensors, swaps, different)
-
-
-def _solve(deployment: Deployment, effort: Effort, seed: int, gap: float) -> Cover:
-    """A plain cover by the solver for covers, all else as a deployment."""
-    limit = effort.limit()
-    if effort.solver == HIGHS:
-        return solve_whole(deployment, limit, gap)
-    plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
-    if plain and math.isinf(deployment.budget):
-        equal = len(np.unique(deployment.problem.costs)) == 1
-        solve = solve_cover_problem if equal else solve_costly_cover
-        return solve(deployment.problem, limit, seed, gap)
-    return solve_deployment(deployment, limit, seed, gap).cover
+    if not deployment.complete:
+        cost = math.fsum(deployment.problem.costs[cover.chosen])
+        cover = replace(cover, objective=cost, bound=math.nan)
+    return Answer(cover, record, sensors, swaps, different)
 
 
 def _check(asked: Asked, cover: Cover, limit_s: float) -> None:
@@ -138,34 +151,6 @@ def _check(asked: Asked, cover: Cover, limit_s: float) -> None:
         )
 
 
-def _in_cost(deployment: Deployment, cover: Cover) -> Cover:
-    cost = math.fsum(deployment.problem.costs[cover.chosen])
-    return cover if deployment.complete else replace(cover, objective=cost, bound=math.nan)
-
-
-def _goal(asked: Asked, deployment: Deployment, cover: Cover) -> dict[str, Any]:
-    """What was optimised, its value and its bound."""
-    if "budget" in asked.options:
-        return {"kind": "coverage", "value": -cover.objective, "bound": -cover.bound}
-    if "price" in asked.options:
-        most = deployment.worth * deployment.total
-        value, bound = cover.objective + most, cover.bound + most
-        return {"kind": "cost and price", "value": value, "bound": bound}
-    return {"kind": "cost", "value": cover.objective, "bound": cover.bound}
-
-
-def _losses(posed: Posed, chosen: Ints) -> Floats:
-    """Weight (chosen,) that is no longer seen often enough when each row fails.
-
-    How often is what the targets need, not what a plan that survives failures makes of it.
-    """
-    rows = posed.deployment.problem.matrix[chosen]
-    count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
-    need = posed.targets["needed"].to_numpy(np.int64)
-    weight = posed.targets["weight"].to_numpy(np.float64)
-    return np.asarray(rows @ np.where((count == need) & (need > 0), weight, 0.0))
-
-
 def _targets_record(
     asked: Asked, posed: Posed, deployment: Deployment, cover: Cover, name: Any
 ) -> dict[str, Any]:
@@ -180,11 +165,14 @@ def _targets_record(
     covered = math.fsum(weight[seen])
     worst = int(np.argmax(lost)) if len(lost) else -1
     asked_weight = math.fsum(weight[needed > 0])
+    own = posed.targets[posed.targets["asked"] != asked.at_least]  # another number than the plan's
     return {
         "weight": {"seen": covered, "of": asked_weight},
         "seen_targets": int(seen.sum()),
         "short": posed.short,
-        "needs": _own_needs(posed, asked),
+        "needs": dict(
+            zip(own["target"].astype(str), own["asked"].astype(int).tolist(), strict=True)
+        ),
         "forbidden_candidates": int(posed.forbidden.sum()),
         "failure": {
             "left_share": 1.0 if not covered else 1 - float(lost.max(initial=0.0)) / covered,
@@ -193,28 +181,14 @@ def _targets_record(
     }
 
 
-def _own_needs(posed: Posed, asked: Asked) -> dict[str, int]:
-    """How many sensors must see the targets that ask for another number than the plan."""
-    own = posed.targets[posed.targets["asked"] != asked.at_least]
-    return dict(zip(own["target"].astype(str), own["asked"].astype(int).tolist(), strict=True))
-
-
-def _kept_all(asked: Asked, posed: Posed) -> Deployment:
-    """The deployment whose coverage counts as asked for, also where all of it is to be kept.
-
-    A cover that keeps everything sees each target once more; a budget that buys less cannot.
-    """
-    deployment = posed.deployment
-    if not deployment.complete or asked.options.get("keep_share") != 1:
-        return deployment
-    once = deployment.problem.changed(at_least=posed.targets["needed"].to_numpy(np.int64))
-    return replace(deployment, problem=once, keep=1.0)
-
-
 def _curve(
     asked: Asked, posed: Posed, cover: Cover, effort: Effort, seed: int, gap: float
 ) -> dict[str, Any]:
-    deployment = _kept_all(asked, posed)
+    deployment = posed.deployment
+    if deployment.complete and asked.options.get("keep_share") == 1:
+        # A cover that keeps everything sees each target once more; a budget that buys less cannot.
+        once = deployment.problem.changed(at_least=posed.targets["needed"].to_numpy(np.int64))
+        deployment = replace(deployment, problem=once, keep=1.0)
     charge = np.asarray(deployment.charge)
     mandatory = deployment.problem.mandatory
     step = objective_step(charge)
@@ -241,28 +215,10 @@ def _curve(
     return {"of": counted, "total": deployment.total, "points": points}
 
 
-def _places(candidates: pd.DataFrame, position: Ints) -> Ints:
-    """Number of the place (choices,) of each row; heights of one place share it."""
-    xy_m = candidates[["x", "y"]].to_numpy(np.float64)
-    number = np.unique(xy_m, axis=0, return_inverse=True)[1].reshape(-1)
-    return number.astype(np.int64)[position]
-
-
-# Of the plans of one cost, the one whose sensors see the most targets again.
-
-
 def stretches(station_m: Floats, cell_m: float) -> Ints:
     """Number of the stretch of road (n,) of each target, from 0; ``cell_m``: length of each."""
     number = np.floor(station_m / cell_m)
     return np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
-
-
-def applies(deployment: Deployment) -> bool:
-    """Whether a plan has a second objective: it sees all targets, and no share is to be kept.
-
-    A budget or a price weighs coverage itself, and a share to be kept has its own redundancy.
-    """
-    return deployment.complete and not deployment.keep
 
 
 def see_again(
@@ -290,7 +246,9 @@ def see_again(
     -------
     the cover, with the CPU time of both; shares of the weight, metres and status (`Second`)
     """
-    if not limit_s > 0 or not len(cover.chosen) or not applies(deployment):
+    # A budget or a price weighs coverage itself, and a share to be kept has its own redundancy.
+    second = deployment.complete and not deployment.keep
+    if not (second and limit_s > 0 and len(cover.chosen)):
         return cover, None
     whole_choice = True
     if allowed is not None and not allowed.all():

@@ -16,16 +16,15 @@ from roadsight.base.errors import InputError
 from roadsight.placement.candidates.siting import (
     mounting_costs,
     needs_by_area,
-    reach,
     snapped,
     within_zones,
 )
 from roadsight.placement.sensors.poses import split_pose
 from roadsight.setcover.common.problem import CoverProblem
+from roadsight.setcover.common.reductions import times_coverable
 from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 
-_NAMED = 5
-"""Targets that a message names."""
+_NAMED = 5  # targets that a message names
 
 
 @dataclass(frozen=True)
@@ -103,8 +102,19 @@ def pose(
     if zone.all():
         raise InputError("every candidate lies in a zone without sensors", where=asked.where)
     forbidden = zone[position]
-    mandatory = _mandatory(asked, candidates, choices, matrix, zone)
-    mount, pole = _mounts(asked, candidates)
+    mandatory: list[int] = []
+    if asked.fixed is not None:
+        within_m = asked.options["mandatory"]["within_m"]
+        where = f"{asked.where}: mandatory"
+        mandatory = snapped(asked.fixed, candidates, choices, matrix, zone, within_m, where)
+    mount, pole = np.zeros(len(candidates)), [""] * len(candidates)
+    if asked.poles is not None:
+        option = asked.options["poles"]
+        mount, used = mounting_costs(
+            asked.poles, candidates, option["within_m"], option["cost"], option["new_cost"]
+        )
+        poles = asked.poles["id"].astype(str).tolist()
+        pole = [poles[p] if p >= 0 else "" for p in used]
     cost = choices["cost"].to_numpy(np.float64) + mount[position]
     if not (cost > 0).all():
         raise InputError(
@@ -113,8 +123,10 @@ def pose(
             found=cost.min(),
             hint="raise the sensor's cost or poles.cost",
         )
-    weight, need = _needs(asked, targets)
-    reachable = reach(matrix, position, forbidden)
+    weight, need = np.ones(len(targets)), np.full(len(targets), asked.at_least, np.int64)
+    if asked.areas is not None:
+        weight, need = needs_by_area(asked.areas, targets, asked.at_least)
+    reachable = times_coverable(matrix, position, forbidden)
     short = np.flatnonzero(reachable < need)
     known = targets.assign(weight=weight, asked=need, needed=need, reachable=reachable)
     _check_reach(asked, known, short)
@@ -123,7 +135,11 @@ def pose(
         known["needed"] = need
     keep, fold = _failure_folds(asked, known, weight, need)
     problem = CoverProblem(matrix, cost, position, fold, mandatory, np.flatnonzero(forbidden))
-    deployment = _deployment(asked, problem, weight, keep, _cliques(asked, candidates, position))
+    cliques: tuple[Ints, ...] = ()
+    if (spacing_m := asked.options.get("spacing_m")) is not None:
+        xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+        cliques = spacing_cliques(xy_m[position], spacing_m)
+    deployment = _deployment(asked, problem, weight, keep, cliques)
     _check_mandatory(asked, deployment, mandatory, choices)
     names = known["target"].to_numpy()
     return Posed(
@@ -134,45 +150,6 @@ def pose(
         zone,
         pole,
     )
-
-
-def _needs(asked: Asked, targets: pd.DataFrame) -> tuple[Floats, Ints]:
-    if asked.areas is None:
-        return np.ones(len(targets)), np.full(len(targets), asked.at_least, np.int64)
-    return needs_by_area(asked.areas, targets, asked.at_least)
-
-
-def _mandatory(
-    asked: Asked,
-    candidates: pd.DataFrame,
-    choices: pd.DataFrame,
-    matrix: sparse.csr_matrix,
-    zone: Bools,
-) -> list[int]:
-    if asked.fixed is None:
-        return []
-    within_m = asked.options["mandatory"]["within_m"]
-    where = f"{asked.where}: mandatory"
-    return snapped(asked.fixed, candidates, choices, matrix, zone, within_m, where)
-
-
-def _mounts(asked: Asked, candidates: pd.DataFrame) -> tuple[Floats, list[str]]:
-    """Cost of mounting at each candidate, and the name of its pole."""
-    if asked.poles is None:
-        return np.zeros(len(candidates)), [""] * len(candidates)
-    option = asked.options["poles"]
-    mount, pole = mounting_costs(
-        asked.poles, candidates, option["within_m"], option["cost"], option["new_cost"]
-    )
-    names = asked.poles["id"].astype(str).tolist()
-    return mount, [names[p] if p >= 0 else "" for p in pole]
-
-
-def _cliques(asked: Asked, candidates: pd.DataFrame, position: Ints) -> tuple[Ints, ...]:
-    spacing_m = asked.options.get("spacing_m")
-    if spacing_m is None:
-        return ()
-    return spacing_cliques(candidates[["x", "y"]].to_numpy(np.float64)[position], spacing_m)
 
 
 def _failure_folds(
@@ -256,9 +233,6 @@ def _check_mandatory(
         if crowded
         else "raise the budget or leave some out",
     )
-
-
-# The choices of a plan: each of its sensors at each candidate, in each pose worth keeping.
 
 
 def choices_of(

@@ -14,17 +14,12 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.placement.sensors.poses import Turn
+from roadsight.placement.sensors.poses import AS_MOUNTED, Turn
 
-OUT = "out"
-"""Name of the change of a sensor that fails."""
+OUT = "out"  # name of the change of a sensor that fails
+# Covers that are tried with rows as they are seen with tolerance, before only rows that were looked
+# at may be chosen: the test sites needed 3 to 20.
 MOST_ROUNDS = 60
-"""Covers that are tried with rows as they are seen with tolerance, before only rows that were
-looked at may be chosen: the test sites needed 3 to 20."""
-
-
-_NO_TURN = Turn(0.0, 0.0, 0.0)
-"""A sensor that is turned as planned."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +35,7 @@ class Change:
     kind: str
     name: str
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: Turn = _NO_TURN
+    turn: Turn = AS_MOUNTED
 
 
 def changes(move_m: float, turn_deg: float, height_m: float) -> list[Change]:
@@ -125,10 +120,9 @@ def tolerance_of(seen: Bools, changed: dict[int, list[tuple[Change, Bools]]]) ->
     return Tolerance(rows, times_lost, times == 1, number)
 
 
+# Chosen rows of a matrix; None where no choice sees everything.
 Solve = Callable[[sparse.csr_matrix], Ints | None]
-"""Chosen rows of a matrix; None where no choice sees everything."""
-Look = Callable[[int], Bools]
-"""What a row sees under every change at once (targets,)."""
+Look = Callable[[int], Bools]  # what a row sees under every change at once (targets,)
 
 
 def solve_with_tolerance(

@@ -15,8 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roadsight.placement.sensors.spinning import Elevation, Positive, Share
 
-_MAX_PIXELS = 200_000_000
-"""Pixels of a camera; more is a slip."""
+_MAX_PIXELS = 200_000_000  # pixels of a camera; more is a slip
 
 
 class AimedSensor(BaseModel, ABC):

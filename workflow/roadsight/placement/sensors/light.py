@@ -15,18 +15,13 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.placement.sensors.sensors import AnySensor, Rosette, Sensor
 
+# Visibility from which on the air counts as clear (WMO-No. 8: the haze limit is 5 km).
 CLEAR_M = 20_000.0
-"""Visibility from which on the air counts as clear (WMO-No. 8: the haze limit is 5 km)."""
-
-_CONTRAST = 3.912
-"""Minus the logarithm of 2 %, the contrast that is just seen (Koschmieder)."""
-
-_REFERENCE_NM = 550.0
-"""Wavelength at which visibility is defined: that of the eye."""
-
+_CONTRAST = 3.912  # minus the logarithm of 2 %, the contrast that is just seen (Koschmieder)
+_REFERENCE_NM = 550.0  # wavelength at which visibility is defined: that of the eye
+# Extinction, 1/m, below which ranges stay as they are: in r = W(a R) / a, both sides of the
+# quotient go to 0, and at 0 it has no value.
 _CLEAR_PER_M = 1e-12
-"""Extinction, 1/m, below which ranges stay as they are: in r = W(a R) / a, both sides of the
-quotient go to 0, and at 0 it has no value."""
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
@@ -115,13 +110,8 @@ def contrast_range_m(extinction_per_m: float) -> float:
     return _CONTRAST / extinction_per_m if extinction_per_m > 0 else np.inf
 
 
-# Curvature of the Earth and refraction of the air along a beam.
-
-EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius (IUGG)."""
-
-REFRACTION = 0.13
-"""Coefficient of refraction, Gauss' mean value of geodetic practice."""
+EARTH_RADIUS_M = 6_371_000.0  # mean radius (IUGG)
+REFRACTION = 0.13  # coefficient of refraction, Gauss' mean value of geodetic practice
 
 
 def rise_m(distance_m: ArrayLike) -> Floats:

@@ -32,8 +32,7 @@ class Turn(NamedTuple):
     roll_deg: float
 
 
-AS_MOUNTED = Turn(0.0, 0.0, 0.0)
-"""No turn at all."""
+AS_MOUNTED = Turn(0.0, 0.0, 0.0)  # no turn at all
 
 
 def turns_of(

@@ -16,9 +16,9 @@ from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 
+# Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
+# hides all that is behind it, so that a target which would need the beam is not taken for seen.
 NOT_CAST_M = 2.0**-10
-"""Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
-hides all that is behind it, so that a target which would need the beam is not taken for seen."""
 
 
 def sensor_from_local(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> Floats:
@@ -127,29 +127,16 @@ def as_seen_from(
     return offset + np.asarray(position_m, np.float64)
 
 
-# Directions in which a sensor measures, as a grid in its own frame with a weight for each cell.
-
+# Numbers of the projections, by which kernels know them; see `Raster`.
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
-"""Numbers of the projections, by which kernels know them; see `Raster`."""
-
-_ROSETTE_CELL_DEG = 0.1
-"""Cells in which a rosette's expected points are gathered."""
-
+_ROSETTE_CELL_DEG = 0.1  # cells in which a rosette's expected points are gathered
+# Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
+# the axis.
 _ROSETTE_PARTS = 4
-"""Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
-the axis."""
-
-_RADAR_CELL_DEG = 0.02
-"""Cells that tell which part of a target a radar's beam meets: far finer than its resolution."""
-
-_MOST_FINE = 24
-"""Pixels of a camera and cells of a rosette looked at along either axis of a target."""
-
-_MOST_RADAR = 16
-"""The same for radars, of which only the part of a target that is met counts."""
-
-_ALL = 1 << 30
-"""More than any sensor has: every beam of a spinning LiDAR is looked at."""
+_RADAR_CELL_DEG = 0.02  # cells tell which part of a target is met: far finer than the resolution
+_MOST_FINE = 24  # pixels of a camera and cells of a rosette looked at along either axis of a target
+_MOST_RADAR = 16  # the same for radars, of which only the part of a target that is met counts
+_ALL = 1 << 30  # more than any sensor has: every beam of a spinning LiDAR is looked at
 
 
 @dataclass(frozen=True)
@@ -206,7 +193,8 @@ def rosette_raster(rosette: Rosette) -> Raster:
     its mean over rings as wide as a part of a cell.
     """
     across, upright = rosette.half_view_deg
-    cell = _ROSETTE_CELL_DEG
+    cell, arrow = _ROSETTE_CELL_DEG, rosette.field_deg / 4
+    width = cell / _ROSETTE_PARTS
     u = cell * (np.arange(2 * int(np.ceil(across / cell))) + 0.5 - np.ceil(across / cell))
     v = cell * (np.arange(2 * int(np.ceil(upright / cell))) + 0.5 - np.ceil(upright / cell))
     parts = (np.arange(_ROSETTE_PARTS) + 0.5) / _ROSETTE_PARTS - 0.5
@@ -215,15 +203,11 @@ def rosette_raster(rosette: Rosette) -> Raster:
         for du in parts:
             for dv in parts:
                 radius = np.hypot(u + cell * du, (v + cell * dv - offset_deg)[:, None])
-                weight += _density(radius, rosette.field_deg / 4, cell / _ROSETTE_PARTS)
+                # Mean share of points per square degree of the ring of that width.
+                inner, outer = np.maximum(radius - width / 2, 0), radius + width / 2
+                share = _within(outer, arrow) - _within(inner, arrow)
+                weight += share / (np.pi * (outer**2 - inner**2))
     return Raster(EQUIDISTANT, u, v, weight * (rosette.points / weight.sum()), _MOST_FINE)
-
-
-def _density(radius_deg: Floats, arrow_deg: float, width_deg: float) -> Floats:
-    """Mean share of points per square degree of the ring of a width about each radius."""
-    inner, outer = np.maximum(radius_deg - width_deg / 2, 0), radius_deg + width_deg / 2
-    share = _within(outer, arrow_deg) - _within(inner, arrow_deg)
-    return np.asarray(share / (np.pi * (outer**2 - inner**2)))
 
 
 def _within(radius_deg: Floats, arrow_deg: float) -> Floats:

@@ -28,22 +28,23 @@ __all__ = [
     "panorama_name",
     "what_it_sees",
 ]
-
-AnySensor = Sensor | AimedSensor
-"""A sensor of any kind."""
-
+AnySensor = Sensor | AimedSensor  # a sensor of any kind
+# Schema of each kind of sensor.
 KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
     "spinning": Sensor,
     "rosette": Rosette,
     "camera": Camera,
     "radar": Radar,
 }
-"""Schema of each kind of sensor."""
+_PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")  # step and range, see `panorama_name`
+_PANORAMA_TOP_DEG = 20.0  # highest elevation: targets are hardly ever above their sensor
 
-_PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")
-"""Names that `panorama_name` gives: step and range."""
-_PANORAMA_TOP_DEG = 20.0
-"""Highest elevation of a panorama: targets stand on the road, hardly ever above their sensor."""
+
+# Keys of a spinning LiDAR, of which the first go where one of the second is given: each pair says
+# the step, or the channels, in two ways.
+_STEP, _TURN = {"azimuth_step_deg"}, {"columns_per_turn"}
+_TABLE, _EVEN = {"elevations_deg"}, {"elevation_min_deg", "elevation_max_deg", "channels"}
+_INSTEAD = ((_STEP, _TURN), (_TURN, _STEP), (_TABLE, _EVEN), (_EVEN, _TABLE))
 
 
 def load_sensors(path: str | os.PathLike[str]) -> dict[str, AnySensor]:
@@ -98,23 +99,9 @@ def _resolved(name: object, given: dict[Any, Any], path: str) -> Any:
         base = given[like]
         if not isinstance(base, dict):
             return own
-        # One way of saying the step replaces the other, and so do the ways of saying the channels.
-        base = {key: value for key, value in base.items() if not _replaced(key, own)}
-        keys = base | own
+        gone = {key for one, other in _INSTEAD if other & own.keys() for key in one}
+        keys = {key: value for key, value in base.items() if key not in gone} | own
     return keys
-
-
-_INSTEAD = (
-    ({"azimuth_step_deg"}, {"columns_per_turn"}),
-    ({"elevations_deg"}, {"elevation_min_deg", "elevation_max_deg", "channels"}),
-)
-"""Keys of a spinning LiDAR that say the same in two ways."""
-
-
-def _replaced(key: str, own: dict[str, Any]) -> bool:
-    """Whether keys that a sensor states itself stand in place of one of the sensor it is like."""
-    ways = [*_INSTEAD, *((other, one) for one, other in _INSTEAD)]
-    return any(key in one and other & own.keys() for one, other in ways)
 
 
 def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
@@ -140,8 +127,8 @@ def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
     return sensor
 
 
+# Keys of a definition that no depth map and no detection depends on.
 _NOT_SEEN = frozenset({"cost", "price", "source", "points_per_s", "rotation_hz"})
-"""Keys of a definition that no depth map and no detection depends on."""
 
 
 def what_it_sees(sensor: AnySensor) -> dict[str, Any]:
@@ -149,8 +136,7 @@ def what_it_sees(sensor: AnySensor) -> dict[str, Any]:
 
     The points a second of a solid-state LiDAR do.
     """
-    kept = {"points_per_s"} if isinstance(sensor, Rosette) else set()
-    dropped = _NOT_SEEN - kept
+    dropped = _NOT_SEEN - ({"points_per_s"} if isinstance(sensor, Rosette) else set())
     return {key: value for key, value in sensor.to_dict().items() if key not in dropped}
 
 

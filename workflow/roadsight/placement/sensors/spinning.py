@@ -16,12 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
-_MAX_BEAMS = 20_000_000
-"""Beams of a sensor; more is a slip of a step, and its depth maps would not fit into memory."""
-
-_POINTS_ROUNDING = 1e-3
-"""Share by which points a second may exceed their limit: a step rounded to three digits."""
-
+_MAX_BEAMS = 20_000_000  # more is a slip of a step, and depth maps would not fit into memory
+_POINTS_ROUNDING = 1e-3  # share beyond points_per_s that is allowed: steps have three digits
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
@@ -82,7 +78,15 @@ class Sensor(BaseModel):
     def _consistent(self) -> Sensor:
         self._check_azimuths()
         self._check_elevations()
-        self._check_points()
+        if self.points_per_s is not None and self.rotation_hz is not None:
+            points = self.rows * self.columns * self.rotation_hz
+            if points > self.points_per_s * (1 + _POINTS_ROUNDING):
+                raise ValueError(
+                    f"{self.rows} channels x {self.columns} columns x {self.rotation_hz:g} turns"
+                    f" are {points:,.0f} points a second, more than the {self.points_per_s:,.0f}"
+                    " of points_per_s: fewer columns_per_turn (a larger azimuth_step_deg) or a"
+                    " lower rotation_hz"
+                )
         if self.range_min_m >= self.range_m:
             raise ValueError(
                 f"range_min_m ({self.range_min_m:g}) must be below range_m ({self.range_m:g})"
@@ -103,19 +107,6 @@ class Sensor(BaseModel):
             raise ValueError(
                 f"azimuth_step_deg ({self.azimuth_step_deg:g}) must divide the field of view"
                 f" ({span:g} deg) into whole cells"
-            )
-
-    def _check_points(self) -> None:
-        """A product sends no more points than its sheet says."""
-        if self.points_per_s is None or self.rotation_hz is None:
-            return
-        points = self.rows * self.columns * self.rotation_hz
-        if points > self.points_per_s * (1 + _POINTS_ROUNDING):
-            raise ValueError(
-                f"{self.rows} channels x {self.columns} columns x {self.rotation_hz:g} turns are"
-                f" {points:,.0f} points a second, more than the {self.points_per_s:,.0f} of"
-                " points_per_s: fewer columns_per_turn (a larger azimuth_step_deg) or a lower"
-                " rotation_hz"
             )
 
     def _check_elevations(self) -> None:

@@ -15,14 +15,11 @@ from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sight.lanes import Traffic
 
+# Of more sensors that see a target, those with the greatest free shares count: work doubles with
+# each sensor.
 MOST_SENSORS = 12
-"""Of more sensors that see a target, those with the greatest free shares count: work doubles with
-each sensor."""
-
-_MOST_SPANS = 64
-"""Spans kept of one line of sight, of all lanes and classes together; any more are left out."""
-_STEP_M = 0.25
-"""Steps along lines of sight in plan: those of `free_shares`, so that both walk alike."""
+_MOST_SPANS = 64  # of one line of sight, of all lanes and classes; any more are left out
+_STEP_M = 0.25  # steps along lines of sight in plan: those of `free_shares`, so that both agree
 
 
 def spans_in_the_way(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> list[Floats]:
@@ -80,7 +77,8 @@ def joint_share(spans: Sequence[Floats], per_m: Floats) -> float:
     """
     used = list(spans)
     if len(used) > MOST_SENSORS:
-        hidden = [_mean_number(part, per_m) for part in used]
+        mean = [per_m[p[:, 0].astype(np.int64), p[:, 1].astype(np.int64)] for p in used]
+        hidden = [float((m * (p[:, 3] - p[:, 2])).sum()) for m, p in zip(mean, used, strict=True)]
         used = [used[k] for k in np.argsort(hidden, kind="stable")[:MOST_SENSORS]]
     if not used:
         return 0.0
@@ -98,11 +96,6 @@ def contains(outer: Floats, inner: Floats) -> bool:
     same = (outer[None, :, :2] == inner[:, None, :2]).all(axis=2)
     within = (outer[None, :, 2] <= inner[:, None, 2]) & (outer[None, :, 3] >= inner[:, None, 3])
     return bool((same & within).any(axis=1).all())
-
-
-def _mean_number(spans: Floats, per_m: Floats) -> float:
-    lane, kind = spans[:, 0].astype(np.int64), spans[:, 1].astype(np.int64)
-    return float((per_m[lane, kind] * (spans[:, 3] - spans[:, 2])).sum())
 
 
 @compiled()

@@ -19,12 +19,8 @@ from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 
 _USUAL = Targets()
-
-MIN_BEAMS = _USUAL.min_beams
-"""A target is seen when more beams than this return from it (paper 1, Table 3)."""
-
-_TOUCH_M = 1e-9
-"""A sensor this near to a target's side touches it and counts as inside."""
+MIN_BEAMS = _USUAL.min_beams  # a target is seen when more beams return (paper 1, Table 3)
+_TOUCH_M = 1e-9  # a sensor this near to a target's side touches it and counts as inside
 
 
 def count_hits(
@@ -221,9 +217,6 @@ def entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
     if slope * near < low:
         return low / slope
     return near
-
-
-# Coverage of the targets by all candidates of a plan (paper 1, section 2.5).
 
 
 def detection_matrix(

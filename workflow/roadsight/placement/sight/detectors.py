@@ -1,6 +1,6 @@
 """How well sensors of all kinds see targets: one question to a sensor in a pose.
 
-A `Detector` measures targets of any shape in a unit of its own, and says from where on one is seen.
+A detector measures targets of any shape in a unit of its own, and says from where on one is seen.
 Solid-state LiDARs count expected points, cameras pixels, radars the echo over what they need.
 Spinning LiDARs in a pose count beams; as mounted they have depth maps of their own
 (`roadsight.placement.sight.sight`).
@@ -10,13 +10,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
-from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.rays import (
     Raster,
     camera_raster,
@@ -27,8 +25,8 @@ from roadsight.placement.sensors.rays import (
 from roadsight.placement.sensors.sensors import AnySensor
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.kinds import Shape
-from roadsight.placement.sight.posed import Panorama, weigh_by_height, weigh_targets
-from roadsight.placement.sight.sight import Sight
+from roadsight.placement.sight.posed import Panorama, weigh_by_height
+from roadsight.placement.sight.sight import Sight, as_met
 
 
 @dataclass(frozen=True)
@@ -46,29 +44,9 @@ class Criteria:
     min_pixels: int | None = None
 
 
-class Detector(Protocol):
-    """A sensor of some kind."""
-
-    @property
-    def unit(self) -> str:
-        """What is measured, for people."""
-
-    def measure(
-        self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
-    ) -> Floats:
-        """How well each target (n,) is seen, 0 for not at all.
-
-        Parameters
-        ----------
-        rotation : (3, 3) whose columns are the sensor's axes in the local frame.
-        feet_m : (n, 3) local metres. shape : of every target. sight : effects.
-        """
-
-    def sees(self, measured: Floats) -> Bools:
-        """Which targets (n,) count as seen."""
-
-
-def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
+def detector_of(
+    sensor: AnySensor, criteria: Criteria
+) -> BeamDetector | CameraDetector | RadarDetector:
     """The detector of a sensor."""
     if isinstance(sensor, Camera):
         return CameraDetector(camera_raster(sensor), criteria.min_pixels or sensor.min_pixels)
@@ -94,7 +72,13 @@ class BandedDetector(ABC):
     def measure(
         self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
-        """How well each target (n,) is seen, as `Detector.measure`."""
+        """How well each target (n,) is seen, 0 for not at all.
+
+        Parameters
+        ----------
+        rotation : (3, 3) whose columns are the sensor's axes in the local frame.
+        feet_m : (n, 3) local metres. shape : of every target. sight : effects.
+        """
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
     def by_height(
@@ -107,7 +91,8 @@ class BandedDetector(ABC):
         bands: int,
     ) -> Floats:
         """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
-        feet_m = seen_lower(feet_m, panorama, sight)
+        if sight.curved:
+            feet_m = as_met(feet_m, panorama.position_m)
         found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
         return weigh_by_height(*found, self.beam(sight), bands)[:, 1:]
 
@@ -171,11 +156,13 @@ class RadarDetector:
         self, panorama: Panorama, rotation: Floats, feet_m: Floats, shape: Shape, sight: Sight
     ) -> Floats:
         """Power of the echo over the weakest that is found."""
-        feet_m = seen_lower(feet_m, panorama, sight)
+        if sight.curved:
+            feet_m = as_met(feet_m, panorama.position_m)
         strength = self.rcs_m2 / self.sensor.range_rcs_m2
         farthest_m = self.sensor.range_m * max(strength, 1e-12) ** 0.25
         raster = radar_raster(self.sensor)
-        seen, met = weigh_targets(panorama, raster, rotation, feet_m, shape.packed, farthest_m)
+        looked_at = (panorama, raster, rotation, feet_m, shape.packed, farthest_m)
+        met, seen = weigh_by_height(*looked_at, beam=None, bands=1).T
         share = np.divide(seen, met, out=np.zeros_like(seen), where=met > 0)
         middles = feet_m[:, :3] - panorama.position_m + np.array([0.0, 0.0, shape.height_m / 2])
         ahead, left, _ = (middles @ rotation).T
@@ -191,13 +178,3 @@ class RadarDetector:
     def sees(self, measured: Floats) -> Bools:
         """Those whose echo is strong enough."""
         return np.asarray(measured >= 1.0)
-
-
-def seen_lower(feet_m: Floats, panorama: Panorama, sight: Sight) -> Floats:
-    """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
-    if not sight.curved:
-        return feet_m
-    offset = feet_m[:, :2] - panorama.position_m[:2]
-    lower = feet_m.copy()
-    lower[:, 2] -= rise_m(np.hypot(*offset.T))
-    return lower

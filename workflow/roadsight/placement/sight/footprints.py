@@ -15,8 +15,7 @@ from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import chord, column_windows, entry, rows_across
 
-CLEAN_SHARE = 0.5
-"""Least share of a footprint that must lie on a target, so that the range is the target's."""
+CLEAN_SHARE = 0.5  # least share of a footprint on a target, so that the range is the target's
 
 
 def count_shared_hits(

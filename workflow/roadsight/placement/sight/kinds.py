@@ -12,15 +12,10 @@ from typing import Any
 import numpy as np
 
 Packed = tuple[int, float, float, float]
-
-CYLINDER, BOX = 0, 1
-"""Numbers of the shapes, by which kernels know them."""
-
-
-_RADIUS_STEP_M = 0.5
-_HEIGHT_STEP_M = 1.0
-"""Rooms are whole steps, so that a target that grows a little needs no other beams. Targets stand a
-metre apart: half a metre about each is the road itself."""
+CYLINDER, BOX = 0, 1  # numbers of the shapes, by which kernels know them
+# Rooms are whole steps, so that a target that grows a little needs no other beams. Targets stand a
+# metre apart: half a metre about each is the road itself.
+_RADIUS_STEP_M, _HEIGHT_STEP_M = 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -74,16 +69,15 @@ class Box:
 
 
 Shape = Cylinder | Box
-
+# Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
+# sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
+# white-tailed doe to its back) are round figures of ours.
 KINDS = {
     "pedestrian": Box(0.5, 0.5, 1.7),
     "car": Box(5.79, 2.13, 1.30),
     "truck": Box(9.14, 2.44, 3.35),
     "deer": Box(1.6, 0.45, 1.0),
 }
-"""Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
-sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
-white-tailed doe to its back) are round figures of ours."""
 
 
 def shape_of(targets: Mapping[str, Any]) -> Shape:

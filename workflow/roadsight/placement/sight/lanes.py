@@ -14,26 +14,13 @@ from roadsight.base.kernels import compiled
 from roadsight.placement.sight.passing import VehicleClass
 from roadsight.scene.grids import Grid
 
-_STATION_M = 2.0
-"""Distance of a lane's points."""
-
-_ACROSS_M = 40.0
-"""How far across an edge, to either side, carriageways are looked for."""
-
-_TANGENT_M = 1.0
-"""The edge's direction at a station is taken from this far behind it to this far ahead."""
-
-_SHOULDERS_M = 1.0
-"""Width of pavement, both sides together, that carries no lane."""
-
-_CELL_M = 0.5
-"""Cells of the raster of lanes: fine against the width of vehicles."""
-
-_STEP_M = 0.25
-"""Steps along lines of sight in plan, half a cell: hardly a cell is stepped over."""
-
-_NO_LANE = -1
-"""What the raster of lanes holds elsewhere."""
+_STATION_M = 2.0  # distance of a lane's points
+_ACROSS_M = 40.0  # how far across an edge, to either side, carriageways are looked for
+_TANGENT_M = 1.0  # the edge's direction is taken from this far behind a station to this far ahead
+_SHOULDERS_M = 1.0  # width of pavement, both sides together, that carries no lane
+_CELL_M = 0.5  # cells of the raster of lanes: fine against the width of vehicles
+_STEP_M = 0.25  # steps along lines of sight in plan, half a cell: hardly a cell is stepped over
+_NO_LANE = -1  # what the raster of lanes holds elsewhere
 
 
 def trace_lanes(
@@ -256,26 +243,16 @@ def _expected(
     return expected
 
 
-# Which lanes are of one road, and how many of them lie abreast.
-
-_APART_M = 40.0
-"""Carriageways of one road are no farther apart, and all of them lie within twice of it."""
-
+_APART_M = 40.0  # carriageways of one road are no farther apart, and all within twice of it
+# Cosine of the angle up to which directions are about the same.
 _PARALLEL = float(np.cos(np.radians(20.0)))
-"""Cosine of the angle up to which directions are about the same."""
-
+# Along the road, half the distance of a lane's points and a little for rounding: every lane abreast
+# has a point so near.
 _BESIDE_M = 1.0 + 1e-6
-"""Along the road, half the distance of a lane's points and a little for rounding: every lane
-abreast has a point so near."""
-
-_ALONGSIDE_SHARE = 0.5
-"""Share of new lanes' points that must run along a road for them to be its."""
-
+_ALONGSIDE_SHARE = 0.5  # share of new lanes' points that must run along a road for them to be its
+# Places of a road at which lanes abreast are counted; their median needs no more.
 _MOST_SAMPLES = 400
-"""Places of a road at which lanes abreast are counted; their median needs no more."""
-
-_NEIGHBOURS = 16
-"""Nearest known points that are looked at; the nearest of them may be of a road that crosses."""
+_NEIGHBOURS = 16  # nearest known points that are looked at; the nearest may be of a crossing road
 
 
 def road_alongside(points: pd.DataFrame, known: pd.DataFrame) -> int | None:

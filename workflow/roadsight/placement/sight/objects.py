@@ -12,36 +12,70 @@ from scipy.sparse.csgraph import connected_components
 
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 
-LOWEST_M = 0.3
-"""Surfels lower than this above the ground are ground: a kerb, grass, a bank."""
+LOWEST_M = 0.3  # surfels lower than this above the ground are ground: a kerb, grass, a bank
+# Surfels in the same or in touching cubes of this edge belong together: more than the spacing of
+# leaves and rails in a scan of 20 points/m2, less than the gap between two posts.
 _CELL_M = 0.4
-"""Surfels in the same or in touching cubes of this edge belong together: more than the spacing of
-leaves and rails in a scan of 20 points/m2, less than the gap between two posts."""
-_FEWEST = 4
-"""Places of surfels of an object; fewer are stray. One return has three surfels at its place."""
-_TOGETHER = 3
-"""Surfels in a cube of 0.8 m whose normals are compared."""
-_POLE_WIDE_M = 0.5
-"""Nine tenths of a pole's surfels lie so near its axis."""
-_POLE_M = 2.5
-"""A pole is so high at least."""
-_SIGN_THICK_M = 0.15
-"""Standard deviation of a sign's points across its panel, at most."""
-_SIGN_LONG_M = 5.0
-"""A sign is so long at most, post and panel."""
-_BARRIER_M = 1.6
-"""A barrier is so high at most: walls against noise are buildings here."""
-_BARRIER_LONG_M = 4.0
-"""A barrier is so long at least, and four times as long as wide."""
+_FEWEST = 4  # places of surfels of an object; fewer are stray. One return has three at its place.
+_TOGETHER = 3  # surfels in a cube of 0.8 m whose normals are compared
+_POLE_WIDE_M = 0.5  # nine tenths of a pole's surfels lie so near its axis
+_POLE_M = 2.5  # a pole is so high at least
+_SIGN_THICK_M = 0.15  # standard deviation of a sign's points across its panel, at most
+_SIGN_LONG_M = 5.0  # a sign is so long at most, post and panel
+_BARRIER_M = 1.6  # a barrier is so high at most: walls against noise are buildings here
+_BARRIER_LONG_M = 4.0  # a barrier is so long at least, and four times as long as wide
+# Agreement of normals within a cube below which it is foliage: walls have 0.9 and more, crowns of
+# the generated roads 0.5 to 0.75.
 _LEAFY = 0.8
-"""Agreement of normals within a cube below which it is foliage: walls have 0.9 and more, crowns of
-the generated roads 0.5 to 0.75."""
-_TREE_M = 1.5
-"""A tree is so high at least; what is leafy and lower is a bush. Signs are as high."""
-_BUILDING_M2 = 4.0
-"""Footprint of a building or another structure, at least."""
+_TREE_M = 1.5  # a tree is so high at least; what is leafy and lower is a bush. Signs are as high.
+_BUILDING_M2 = 4.0  # footprint of a building or another structure, at least
+# What is told of an object.
 _OBJECT = ["name", "kind", "x", "y", "z", "height_m", "length_m", "surfels"]
-"""What is told of an object."""
+
+
+def objects_of(
+    centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
+) -> tuple[Ints, pd.DataFrame]:
+    """Objects of a scene.
+
+    Parameters
+    ----------
+    centre_m, normal : (n, 3) of the surfels, local metres. height_m : (n,) above the ground; NaN
+        where that is not known, which belongs to no object.
+
+    Returns
+    -------
+    (n,) row of each surfel's object, -1 for the ground and stray ones; and the objects: name (kind
+    and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
+    (of its top), length_m and surfels.
+    """
+    row_of = np.full(len(centre_m), -1, np.int64)
+    high = np.flatnonzero(height_m >= LOWEST_M)
+    places = centre_m[high].astype(np.float64)
+    groups = connected(places, stands_low(places, height_m[high]))
+    distinct = _first_of(_numbered(groups, *places.T), groups)
+    large = np.bincount(distinct) >= _FEWEST
+    if not large.any():
+        return row_of, pd.DataFrame({name: [] for name in _OBJECT})
+    kept = large[groups]
+    group = (np.cumsum(large) - 1)[groups[kept]]
+    high, places = high[kept], places[kept]
+    row_of[high] = group
+    by_object = pd.DataFrame(places, columns=[*"xyz"]).groupby(group)
+    table = by_object.median()
+    table["kind"] = kinds_of_objects(places, normal[high].astype(np.float64), height_m[high], group)
+    table["height_m"] = pd.Series(height_m[high]).groupby(group).quantile(0.98)
+    extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
+    table["length_m"] = np.hypot(extent["x"], extent["y"])
+    table["surfels"] = np.bincount(group)
+    # A number tells those apart that share kind and place.
+    names = [
+        f"{kind}{round(x):+d}{round(y):+d}"
+        for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
+    ]
+    times = pd.Series(names).groupby(names).cumcount() + 1
+    table["name"] = [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
+    return row_of, table[_OBJECT]
 
 
 def connected(centre_m: Floats, part: Ints | Bools | None = None) -> Ints:
@@ -182,52 +216,3 @@ def place_of_name(name: str) -> tuple[float, float] | None:
     """Local x, y of an object by its name, to half a metre; None where it tells none."""
     found = re.search(r"([+-]\d+)([+-]\d+)(-\d+)?$", name)
     return None if found is None else (float(found[1]), float(found[2]))
-
-
-def objects_of(
-    centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
-) -> tuple[Ints, pd.DataFrame]:
-    """Objects of a scene.
-
-    Parameters
-    ----------
-    centre_m, normal : (n, 3) of the surfels, local metres. height_m : (n,) above the ground; NaN
-        where that is not known, which belongs to no object.
-
-    Returns
-    -------
-    (n,) row of each surfel's object, -1 for the ground and stray ones; and the objects: name (kind
-    and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
-    (of its top), length_m and surfels.
-    """
-    row_of = np.full(len(centre_m), -1, np.int64)
-    high = np.flatnonzero(height_m >= LOWEST_M)
-    places = centre_m[high].astype(np.float64)
-    groups = connected(places, stands_low(places, height_m[high]))
-    distinct = _first_of(_numbered(groups, *places.T), groups)
-    large = np.bincount(distinct) >= _FEWEST
-    if not large.any():
-        return row_of, pd.DataFrame({name: [] for name in _OBJECT})
-    kept = large[groups]
-    group = (np.cumsum(large) - 1)[groups[kept]]
-    high, places = high[kept], places[kept]
-    row_of[high] = group
-    by_object = pd.DataFrame(places, columns=[*"xyz"]).groupby(group)
-    table = by_object.median()
-    table["kind"] = kinds_of_objects(places, normal[high].astype(np.float64), height_m[high], group)
-    table["height_m"] = pd.Series(height_m[high]).groupby(group).quantile(0.98)
-    extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
-    table["length_m"] = np.hypot(extent["x"], extent["y"])
-    table["surfels"] = np.bincount(group)
-    table["name"] = _names(table)
-    return row_of, table[_OBJECT]
-
-
-def _names(table: pd.DataFrame) -> list[str]:
-    """Names of objects by kind and place; a number tells those apart that share both."""
-    names = [
-        f"{kind}{round(x):+d}{round(y):+d}"
-        for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
-    ]
-    times = pd.Series(names).groupby(names).cumcount() + 1
-    return [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]

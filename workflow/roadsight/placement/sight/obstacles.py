@@ -1,7 +1,7 @@
 """What stands between a sensor and the targets that it does not see (paper 1, Appendix B).
 
 Each sight line is cast on its own, so the answer does not depend on the sensor's resolution; where
-it ends is the obstacle. The paper's way, by the cells of the depth map, is in `obstacle_cells`.
+it ends is the obstacle. The paper's way goes by the cells of the depth map (`CellPoints`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from pandas.core.groupby import DataFrameGroupBy
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
@@ -20,26 +21,17 @@ from roadsight.placement.sensors.rays import NOT_CAST_M, sensor_from_local, sphe
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import target_ranges
 
+# Names of the objects at places (n, 3), empty where there is none.
 ObjectsAt = Callable[[Floats], NDArray[np.object_]]
-"""Names of the objects at places (n, 3), empty where there is none."""
-
+# Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none.
 Cast = Callable[[Floats, Floats], Floats]
-"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
-
+# Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
-"""Heights on a target, as shares of its own, to which sight lines are cast."""
-
-_NEAR_M = 0.4
-"""A hit this near to the target is the pavement or the target's own surroundings."""
-
-CUBE_M = 1.0
-"""Edge of the cubes in which obstacles are gathered."""
-
-NEAREST = 8
-"""Candidates at which an uncovered target is judged."""
-
+_NEAR_M = 0.4  # a hit this near to the target is the pavement or the target's own surroundings
+CUBE_M = 1.0  # edge of the cubes in which obstacles are gathered
+NEAREST = 8  # candidates at which an uncovered target is judged
+# What is told of the sight lines of a pair.
 _COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
-"""What is told of the sight lines of a pair."""
 
 
 def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
@@ -99,7 +91,14 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     lines = lines[lines["blocked_share"] > 0]
     keys = [(lines[f"obstacle_{axis}"] // CUBE_M).rename(axis) for axis in "xyz"]
     groups = lines.groupby(keys, sort=True)
-    table = pd.DataFrame(
+    table = _hidden_by(groups)
+    table["target"], table["candidate"] = groups["target"].first(), groups["candidate"].first()
+    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
+
+
+def _hidden_by(groups: DataFrameGroupBy) -> pd.DataFrame:
+    """What hits of each group hide: their mean place, sight lines, distinct targets and sensors."""
+    return pd.DataFrame(
         {
             "x": groups["obstacle_x"].mean(),
             "y": groups["obstacle_y"].mean(),
@@ -107,15 +106,11 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
             "sight_lines": groups.size(),
             "targets": groups["target"].nunique(),
             "sensors": groups["candidate"].nunique(),
-            "target": groups["target"].first(),
-            "candidate": groups["candidate"].first(),
         }
     )
-    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
-OBJECT_NEAR_M = 0.6
-"""A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size."""
+OBJECT_NEAR_M = 0.6  # a hit is of an object with a surfel so near: half a cube and a surfel's size
 
 
 def object_finder(members: pd.DataFrame) -> ObjectsAt:
@@ -159,17 +154,7 @@ def by_object(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
     if hits.empty:
         names = ["object", "x", "y", "z", "sight_lines", "targets", "sensors"]
         return pd.DataFrame(columns=names)
-    groups = hits.groupby("object", sort=True)
-    table = pd.DataFrame(
-        {
-            "x": groups["obstacle_x"].mean(),
-            "y": groups["obstacle_y"].mean(),
-            "z": groups["obstacle_z"].mean(),
-            "sight_lines": groups.size(),
-            "targets": groups["target"].nunique(),
-            "sensors": groups["candidate"].nunique(),
-        }
-    ).reset_index()
+    table = _hidden_by(hits.groupby("object", sort=True)).reset_index()
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
@@ -244,12 +229,9 @@ def explain_gaps(
     return gaps
 
 
-# Obstacles by the sensor's angular cells, as published (paper 1, Appendix B, Fig. B.1a).
-#
-# The points of the scene are partitioned into the cells of a sensor's depth map. Where the depth
-# map of a target has the range r_t and that of the scene, at the same place, r_s < r_t, the
-# points of the cell whose ranges lie between the two are obstacles; else the target's point there
-# is not occluded. Targets are judged one by one.
+# Obstacles by the sensor's angular cells, as published (paper 1, Appendix B, Fig. B.1a): where the
+# depth map of a target has the range r_t and that of the scene r_s < r_t, the points of the cell
+# whose ranges lie between the two are obstacles. Targets are judged one by one.
 
 
 @dataclass(frozen=True)

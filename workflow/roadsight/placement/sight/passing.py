@@ -22,11 +22,10 @@ class VehicleClass:
     height_m: float
 
 
+# AASHTO Green Book (2018): design vehicle P; its height is that of cars in passing sight.
 CAR = VehicleClass(5.79, 2.13, 1.30)
-"""AASHTO Green Book (2018): design vehicle P; its height is that of cars in passing sight."""
-
+# AASHTO Green Book (2018): design vehicle WB-67, 73.5 ft long, 13.5 ft high.
 TRUCK = VehicleClass(22.40, 2.59, 4.11)
-"""AASHTO Green Book (2018): design vehicle WB-67, 73.5 ft long, 13.5 ft high."""
 
 
 def vehicles_per_m(

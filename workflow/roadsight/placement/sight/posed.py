@@ -26,15 +26,14 @@ from roadsight.placement.sight.shapes import (
 )
 
 _Ray = tuple[float, float, float]
-
+# Neighbouring ranges of a greater ratio are of two surfaces
+# (`docs/decisions/042-poses-from-one-panorama.md`).
 _ONE_SURFACE = 1.25
-"""Neighbouring ranges of a greater ratio are of two surfaces
-(`docs/decisions/042-poses-from-one-panorama.md`)."""
+# Angle from the axis, rad, from which on a window takes all cells: the stretch of the equidistant
+# projection, theta over its sine, grows without end towards 180 degrees.
 _WIDEST = np.radians(170.0)
-"""Angle from the axis, rad, from which on a window takes all cells: the stretch of the equidistant
-projection, theta over its sine, grows without end towards 180 degrees."""
+# Angle from the axis, rad, at which a pinhole's window ends: its tangent must stay finite.
 _UPRIGHT = np.radians(89.9)
-"""Angle from the axis, rad, at which a pinhole's window ends: its tangent must stay finite."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +50,6 @@ class Panorama:
     sensor: Sensor
     position_m: Floats
     yaw_deg: float
-
-
-def weigh_targets(
-    panorama: Panorama,
-    raster: Raster,
-    rotation: Floats,
-    feet_m: Floats,
-    shape: Packed,
-    max_range_m: float,
-    beam: tuple[float, float, float] | None = None,
-) -> tuple[Floats, Floats]:
-    """Weight of the raster's cells that meet each target (n,): those that see it, and all."""
-    found = weigh_by_height(panorama, raster, rotation, feet_m, shape, max_range_m, beam, 1)
-    return found[:, 1], found[:, 0]
 
 
 def weigh_by_height(

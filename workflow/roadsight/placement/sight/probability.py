@@ -9,18 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Numbers
-from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
-LIDAR_CURVE = tuple(Targets().lidar_curve)
-"""a and b of Ma, Liu, Li for points of LiDARs."""
-CAMERA_CURVE = tuple(Targets().camera_curve)
-"""a and b of Ma, Liu, Li for pixels of cameras."""
-
+# Logarithm of the most points that are asked for; a flat curve would ask for more than a number
+# holds.
 _MOST_LOG = np.log(1e9)
-"""Logarithm of the most points that are asked for; a flat curve would ask for more than a number
-holds."""
 
 
 @dataclass(frozen=True)

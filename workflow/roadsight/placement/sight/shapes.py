@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sensors.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import chord, column_windows
 from roadsight.placement.sight.footprints import CLEAN_SHARE, overlap, slopes_into
-from roadsight.placement.sight.kinds import CYLINDER, Box, Cylinder, Packed, Shape
+from roadsight.placement.sight.kinds import CYLINDER, Box, Packed, Shape
 
 
 def relative_to(feet_m: Floats, position_m: Floats) -> Floats:
@@ -164,37 +164,9 @@ def _stretch(
     return (enter, leave) if enter < leave else (0.0, 0.0)
 
 
-# Which beams of a mounted, spinning LiDAR return from targets of any shape, exactly.
-
+# Of a box that spans more rows or columns, every n-th is looked at and stands for n: near boxes
+# would take most of the time, and have far more beams than it takes to see them.
 _MOST = 64
-"""Of a box that spans more rows or columns, every n-th is looked at and stands for n: near boxes
-would take most of the time, and have far more beams than it takes to see them."""
-
-
-def count_tilted_hits(
-    range_m: Floats32,
-    sensor: Sensor,
-    position_m: ArrayLike,
-    yaw_deg: float,
-    tilt: Floats,
-    targets_xyz_m: NDArray[np.floating],
-    radius_m: float,
-    height_m: float,
-    max_range_m: float,
-) -> Ints32:
-    """Number of beams that return from each target (n,), as `count_hits` counts them.
-
-    Every beam that may meet the sphere around a target is intersected with the upright cylinder.
-
-    Parameters
-    ----------
-    tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame.
-    max_range_m : range from which targets return.
-    """
-    pose = (position_m, yaw_deg, tilt)
-    shape = Cylinder(radius_m, height_m)
-    hits = beams_on(range_m, sensor, *pose, targets_xyz_m, shape, max_range_m, False)
-    return hits[:, 0].astype(np.int32)
 
 
 def beams_on(
@@ -304,27 +276,3 @@ def count_met(
                         band = height_band(shape, feet[target], ray, range_m, bands)
                         hits[target, band] += share * tall * across
     return hits
-
-
-# Which beams of a mounted, spinning LiDAR return from boxes, exactly.
-
-
-def count_box_hits(
-    range_m: Floats32,
-    sensor: Sensor,
-    position_m: ArrayLike,
-    yaw_deg: float,
-    tilt: Floats | None,
-    feet_m: Floats,
-    box: Box,
-    max_range_m: float,
-    footprints: bool,
-) -> Floats:
-    """Beams, or shares of wide beams, that return from each box (n,); see `beams_on`.
-
-    Parameters
-    ----------
-    feet_m : (n, 4) x, y, z, local metres, and heading of the length from local x, rad.
-    """
-    pose = (position_m, yaw_deg, tilt)
-    return beams_on(range_m, sensor, *pose, feet_m, box, max_range_m, footprints)[:, 0]

@@ -14,8 +14,8 @@ from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows, count_hits, rows_across
 from roadsight.placement.sight.footprints import count_shared_hits
-from roadsight.placement.sight.kinds import Box, Shape
-from roadsight.placement.sight.shapes import beams_on, count_box_hits, count_tilted_hits
+from roadsight.placement.sight.kinds import Box, Cylinder, Shape
+from roadsight.placement.sight.shapes import beams_on
 
 
 @dataclass(frozen=True)
@@ -57,50 +57,32 @@ def count_beams(
     """
     if sight.curved:
         targets_xyz_m = as_met(targets_xyz_m, position_m)
-    hits = _counted(range_m, sensor, position_m, yaw_deg, targets_xyz_m, size_m, sight, tilt)
-    if sight.min_range_m > 0:
-        hits[_nearest_m(targets_xyz_m, position_m, size_m) < sight.min_range_m] = 0
-    return hits
-
-
-def _nearest_m(feet_m: Floats, position_m: ArrayLike, size_m: tuple[float, float] | Box) -> Floats:
-    """Least distance (n,) at which a target may begin: a cylinder around it holds all of it."""
-    place = np.asarray(position_m, np.float64)
+    pose, limit_m = (position_m, yaw_deg), sight.max_range_m
+    hits: Ints32 | Floats
     if isinstance(size_m, Box):
-        radius_m, height_m = np.hypot(size_m.length_m, size_m.width_m) / 2, size_m.height_m
+        wide = sight.footprints
+        hits = beams_on(range_m, sensor, *pose, tilt, targets_xyz_m, size_m, limit_m, wide)[:, 0]
+    elif sight.footprints:
+        hits = count_shared_hits(range_m, sensor, *pose, tilt, targets_xyz_m, *size_m, limit_m)
+    elif tilt is not None:
+        shape = Cylinder(*size_m)
+        hits = beams_on(range_m, sensor, *pose, tilt, targets_xyz_m, shape, limit_m, False)[:, 0]
+        hits = hits.astype(np.int32)
     else:
-        radius_m, height_m = size_m
-    beside = np.maximum(np.hypot(*(feet_m[:, :2] - place[:2]).T) - radius_m, 0.0)
-    above = np.maximum(place[2] - feet_m[:, 2] - height_m, 0.0)
-    below = np.maximum(feet_m[:, 2] - place[2], 0.0)
-    return np.asarray(np.hypot(beside, above + below))
-
-
-def _counted(
-    range_m: Floats32,
-    sensor: Sensor,
-    position_m: ArrayLike,
-    yaw_deg: float,
-    targets_xyz_m: Floats,
-    size_m: tuple[float, float] | Box,
-    sight: Sight,
-    tilt: Floats | None,
-) -> Ints32 | Floats:
-    if isinstance(size_m, Box):
-        pose = (position_m, yaw_deg, tilt)
-        limits = (sight.max_range_m, sight.footprints)
-        return count_box_hits(range_m, sensor, *pose, targets_xyz_m, size_m, *limits)
-    if sight.footprints:
-        return count_shared_hits(
-            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
-        )
-    if tilt is not None:
-        return count_tilted_hits(
-            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
-        )
-    return count_hits(
-        range_m, sensor, position_m, yaw_deg, targets_xyz_m, *size_m, sight.max_range_m
-    )
+        hits = count_hits(range_m, sensor, *pose, targets_xyz_m, *size_m, limit_m)
+    if sight.min_range_m > 0:
+        # Where a target may begin: a cylinder around it holds all of it.
+        place = np.asarray(position_m, np.float64)
+        if isinstance(size_m, Box):
+            radius_m, height_m = np.hypot(size_m.length_m, size_m.width_m) / 2, size_m.height_m
+        else:
+            radius_m, height_m = size_m
+        away = np.hypot(*(targets_xyz_m[:, :2] - place[:2]).T)
+        beside = np.maximum(away - radius_m, 0.0)
+        above = np.maximum(place[2] - targets_xyz_m[:, 2] - height_m, 0.0)
+        below = np.maximum(targets_xyz_m[:, 2] - place[2], 0.0)
+        hits[np.hypot(beside, above + below) < sight.min_range_m] = 0
+    return hits
 
 
 def beams_by_height(
@@ -134,17 +116,11 @@ def as_met(feet_m: Floats, position_m: ArrayLike) -> Floats:
     return feet_m
 
 
-# Which beams of a spinning LiDAR can meet a target at all; only those need a depth.
-#
-# Half of a sensor's beams look above the road, and many of the others beside it. Detection reads
-# the scene along beams that meet a target and along no other, so that those alone are cast.
-
+# Rows and columns beside a window: who looks between beams needs the next ones (`scene_range_m`),
+# of which the lowest two stand for all that is lower.
 _BESIDE = 2
-"""Rows and columns beside a window: who looks between beams needs the next ones (`scene_range_m`),
-of which the lowest two stand for all that is lower."""
-
+# Times its range that a sensor may see bright targets: 80 % to 10 % of the light is 2.8.
 _REACH = 4.0
-"""Times its range that a sensor may see bright targets: 80 % to 10 % of the light is 2.8."""
 
 
 def beams_wanted(
@@ -156,7 +132,9 @@ def beams_wanted(
     tilt: Floats | None = None,
     curved: bool = False,
 ) -> Bools:
-    """Beams (rows, columns) that may meet a target, and their neighbours.
+    """Beams (rows, columns) that may meet a target, and their neighbours; no other is cast.
+
+    Half of a sensor's beams look above the road, and many of the others beside it.
 
     Parameters
     ----------

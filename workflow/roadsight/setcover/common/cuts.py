@@ -12,42 +12,23 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 
-_PARTNERS = 5
-"""Descents begin at each target with so many others; more of them take time."""
-
-_CUTS = 60
-"""Most cuts of a round; 100 were tried and did not pay."""
-
-_LONGEST = 20
-"""Most targets of a set: longer cuts have more entries, and the relaxation's steps take longer."""
-
-_BROKEN = 0.02
-"""Least that a cut is broken by, of its right side of 2: less hardly moves the bound."""
-
+_PARTNERS = 5  # descents begin at each target with so many others; more of them take time
+_CUTS = 60  # most cuts of a round; 100 were tried and did not pay
+_LONGEST = 20  # most targets of a set: longer cuts slow the relaxation's steps
+_BROKEN = 0.02  # least that a cut is broken by, of its right side of 2: less hardly moves the bound
+# A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
+# rounding of sums must not let a descent go in circles.
 _EVEN = 1e-4
-"""A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
-rounding of sums must not let a descent go in circles."""
-
-_APART = 0.05
-"""Least distance of a pair's common share from 0 and 1: one nearer is next to decided already."""
-
-_MOST_MOVES = 3e9
-"""Entries of the pattern that all descents of a round may look at, about a second of work."""
-
-_STEPS = 6
-"""Steps of a descent, about: by them and `_MOST_MOVES` it is told how many pairs can begin."""
-
-_MOVE_S = 3e-10
-"""Work by entry that a descent looks at, in seconds, measured."""
-
-_READ_S = 1.5e-7
-"""Work by entry of the constraints, in seconds, measured."""
+_APART = 0.05  # least distance of a pair's common share from 0 and 1: nearer is next to decided
+_MOST_MOVES = 3e9  # entries that all descents of a round may look at, about a second of work
+_STEPS = 6  # of a descent, about: with `_MOST_MOVES` they say how many pairs can begin
+_MOVE_S = 3e-10  # work by entry that a descent looks at, in seconds, measured
+_READ_S = 1.5e-7  # work by entry of the constraints, in seconds, measured
 
 
 def balas_ng_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint], float]:
@@ -66,36 +47,29 @@ def balas_ng_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint
     pattern = matrix[:, support].toarray()
     kept = distinct(pattern)
     pattern, share = pattern[kept], x[support]
-    pairs = _pairs(common_shares(pattern, share), pattern.size)
+    # Pairs of targets to start from, (p, 2): those that share about half a choice.
+    uneven = np.round(np.abs(common_shares(pattern, share) - 0.5), 9)
+    np.fill_diagonal(uneven, np.inf)
+    near = np.argsort(uneven, axis=1, kind="stable")[:, :_PARTNERS]
+    pairs = np.column_stack([np.repeat(np.arange(len(uneven)), near.shape[1]), near.ravel()])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    pairs = pairs[uneven[pairs[:, 0], pairs[:, 1]] < 0.5 - _APART]
+    most = max(int(_MOST_MOVES / _STEPS / pattern.size), 1)
+    if len(pairs) > most:
+        pairs = pairs[np.linspace(0, len(pairs) - 1, most).astype(np.int64)]
     sets, left, moves = _descend(np.ascontiguousarray(pattern.T, np.float64), share, pairs)
     found: dict[bytes, Ints] = {}
     for k in np.argsort(left, kind="stable"):
         if left[k] > 2 - _BROKEN or len(found) == _CUTS:
             break
         found.setdefault(sets[k].tobytes(), kept[sets[k]])
-    cuts = [_cut(matrix[chosen].sum(axis=0), len(chosen)) for chosen in found.values()]
+    cuts = []
+    for chosen in found.values():
+        count = np.asarray(matrix[chosen].sum(axis=0)).ravel()  # targets that each choice covers
+        index = np.flatnonzero(count)
+        value = np.where(count[index] == len(chosen), 2.0, 1.0)
+        cuts.append(Constraint(index.astype(np.int32), value, 2.0))
     return cuts, _MOVE_S * moves + _READ_S * matrix.nnz
-
-
-def _pairs(common: Floats, entries: int) -> Ints:
-    """Pairs of targets to start from, (p, 2): those that share about half a choice."""
-    uneven = np.round(np.abs(common - 0.5), 9)
-    np.fill_diagonal(uneven, np.inf)
-    near = np.argsort(uneven, axis=1, kind="stable")[:, :_PARTNERS]
-    pairs = np.column_stack([np.repeat(np.arange(len(common)), near.shape[1]), near.ravel()])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    pairs = pairs[uneven[pairs[:, 0], pairs[:, 1]] < 0.5 - _APART]
-    most = max(int(_MOST_MOVES / _STEPS / entries), 1)
-    if len(pairs) > most:
-        pairs = pairs[np.linspace(0, len(pairs) - 1, most).astype(np.int64)]
-    return pairs
-
-
-def _cut(count: NDArray[np.integer], size: int) -> Constraint:
-    """Cut of a set of targets, given how many of them each choice covers."""
-    count = np.asarray(count).ravel()
-    index = np.flatnonzero(count)
-    return Constraint(index.astype(np.int32), np.where(count[index] == size, 2.0, 1.0), 2.0)
 
 
 @compiled()
@@ -169,33 +143,13 @@ def _try(
 # broken as soon as the choices with an odd sum have shares of less than 1 together, by half of
 # what is missing.
 
-_NEIGHBOURS = 10
-"""Each constraint may join or leave a set together with so many that differ from it least."""
-
-_STARTS = 250
-"""Most constraints that a descent begins at, spread over all: what they find overlaps."""
-
-_CUTS_PARITY_CUTS = 60
-"""Most cuts of a round; 100 were tried and did not pay."""
-
-_LONGEST_PARITY_CUTS = 40
-"""Most constraints of a set: longer cuts have more entries, and the relaxation's steps take longer.
-"""
-
-_LARGEST_LOW = 1000.0
-"""Sum of right sides that no set may reach: cuts are made of cuts, and values must not grow."""
-
-_ODD_SHARE = 0.95
-"""Cuts count where choices of odd sum share less than this, so that they are broken by 0.025."""
-
-_EVEN_PARITY_CUTS = 1e-3
-"""Moves that change the odd share by less than this are level: they neither gain nor lose."""
-
-_MOVE_S_PARITY_CUTS = 7e-10
-"""Work by choice that a move changes, in seconds, measured."""
-
-_READ_S_PARITY_CUTS = 1.5e-7
-"""Work by entry of the constraints, in seconds, measured."""
+_NEIGHBOURS = 10  # those that differ from a constraint least may join or leave a set with it
+_STARTS = 250  # most constraints that a descent begins at, spread over all: what they find overlaps
+_LONGEST_SUM = 40  # most constraints of a set: longer cuts slow the relaxation's steps
+_LARGEST_LOW = 1000.0  # sum of right sides that no set may reach: cuts are made of cuts
+_ODD_SHARE = 0.95  # choices of odd sum share less than this: cuts are broken by 0.025
+_LEVEL = 1e-3  # moves that change the odd share by less than this neither gain nor lose
+_CHANGE_S = 7e-10  # work by choice that a move changes, in seconds, measured
 
 
 def parity_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint], float]:
@@ -214,18 +168,18 @@ def parity_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint],
     odd, odd_low = odd[kept], (low[kept] % 2).astype(bool)
     starts = np.flatnonzero(odd_low)
     if not len(starts) or not len(support):
-        return [], _READ_S_PARITY_CUTS * matrix.nnz
+        return [], _READ_S * matrix.nnz
     if len(starts) > _STARTS:
         starts = starts[np.linspace(0, len(starts) - 1, _STARTS).astype(np.int64)]
     moves = _moves(odd, odd_low, x[support])
-    sets, share, tried = _descend_parity_cuts(odd, x[support], *moves, starts, False)
+    sets, share, tried = _descend_by_parity(odd, x[support], *moves, starts, False)
     if share.min() >= _ODD_SHARE:
-        sets, share, more = _descend_parity_cuts(odd, x[support], *moves, starts, True)
+        sets, share, more = _descend_by_parity(odd, x[support], *moves, starts, True)
         tried += more
-    work_s = _MOVE_S_PARITY_CUTS * tried * len(moves[2]) + _READ_S_PARITY_CUTS * matrix.nnz
+    work_s = _CHANGE_S * tried * len(moves[2]) + _READ_S * matrix.nnz
     found: dict[bytes, Ints] = {}
     for k in np.argsort(share, kind="stable"):
-        if share[k] >= _ODD_SHARE or len(found) == _CUTS_PARITY_CUTS:
+        if share[k] >= _ODD_SHARE or len(found) == _CUTS:
             break
         chosen = kept[sets[k]]
         if low[chosen].sum() < _LARGEST_LOW:
@@ -276,7 +230,7 @@ def _moves(odd: Bools, odd_low: Bools, x: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 @compiled()
-def _descend_parity_cuts(
+def _descend_by_parity(
     odd: Bools, x: Floats, pairs: Ints, first: Ints, index: Ints, starts: Ints, level: bool
 ) -> tuple[Bools, Floats, int]:
     """From each single constraint down to where no move lessens the shares of odd choices.
@@ -296,15 +250,15 @@ def _descend_parity_cuts(
             if odd[starts[s], i]:
                 share[s] += x[i]
                 gain[i] = -x[i]
-        while size < _LONGEST_PARITY_CUTS:
-            best, least = -1, _EVEN_PARITY_CUTS if level else -_EVEN_PARITY_CUTS
+        while size < _LONGEST_SUM:
+            best, least = -1, _LEVEL if level else -_LEVEL
             tried += 1
             for k in range(len(pairs)):
                 total = 0.0
                 for p in range(first[k], first[k + 1]):
                     total += gain[index[p]]
                 if total < least and (
-                    total < -_EVEN_PARITY_CUTS or not (member[pairs[k, 0]] or member[pairs[k, 1]])
+                    total < -_LEVEL or not (member[pairs[k, 0]] or member[pairs[k, 1]])
                 ):
                     best, least = k, total
             if best < 0:
@@ -317,9 +271,6 @@ def _descend_parity_cuts(
                 member[r] = not member[r]
                 size += 1 if member[r] else -1
     return sets, share, tried
-
-
-# Constraints of a relaxation, and how the shares of a solution lie in them.
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,19 @@ from dataclasses import dataclass
 
 from roadsight.setcover.common.problem import OWN
 
+# Work without a move that is always borne: with 5 s a plan of six sensors on a real street stayed
+# unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway)
+# move after 1, 2, 8 and 35 s of work, about four times later each time.
 _LEAST_PATIENCE_S = 30.0
-"""Work without a move that is always borne: with 5 s a plan of six sensors on a real street stayed
-unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway)
-move after 1, 2, 8 and 35 s of work, about four times later each time."""
-_MANY = 2**31 - 1
-"""Most steps that are allowed at once: the largest limit that solvers take as 32-bit integer."""
+_MANY = 2**31 - 1  # most steps allowed at once: the largest limit that solvers take (32 bits)
 
 
 class Deadline:
     """End of the time allowed, from now on, by the clock."""
 
+    # A search ends where nothing has moved for so many times the work up to the last move; 0: it
+    # goes on until the limit.
     patience = 0.0
-    """A search ends where nothing has moved for so many times the work up to the last move; 0: it
-    goes on until the limit."""
 
     def __init__(self, seconds: float | None) -> None:
         self._start = time.perf_counter()

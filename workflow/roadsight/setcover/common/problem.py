@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -15,18 +16,13 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
+# Parts of the smallest cost that a step may be: two costs of six digits have a step.
 _MOST_PARTS = 2**20
-"""Parts of the smallest cost that a step may be: two costs of six digits have a step."""
-
+# Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and sums
+# of thousands of costs must be among them.
 _LARGEST = 2.0**40
-"""Costs of more steps than this have no step: 64-bit floats hold whole numbers up to 2**53, and
-sums of thousands of costs must be among them."""
-
-_WHOLE = 2.0**-48
-"""Share of a cost within which it is a whole multiple of a step: some roundings of floats."""
-
-NEAR = 1e-7
-"""Share of its cost to which a cover is proven where costs have no common step."""
+_WHOLE = 2.0**-48  # share of a cost within which it is a multiple of a step: some roundings
+NEAR = 1e-7  # share of its cost to which a cover is proven where costs have no common step
 
 
 class CoverProblem:
@@ -140,6 +136,12 @@ class Instance:
             group=alone_to_none(self.group[choices]),
             choice=self.choice[choices],
         )
+
+    def is_cover(self, chosen: Bools) -> bool:
+        """Whether choices (m,) cover each target often enough, one of a group at most."""
+        group = self.group[chosen & (self.group >= 0)]
+        seen = self.by_choice.T @ chosen.astype(np.int32)
+        return bool((seen >= self.need).all()) and len(np.unique(group)) == len(group)
 
     def least(self) -> float:
         """Cost of the target that is dearest to cover, in steps: no cover costs less."""
@@ -281,20 +283,12 @@ def _choice_mask(name: str, values: ArrayLike, choices: int) -> Bools:
     return mask
 
 
-# Answer of the cover problems, with its proof.
-
 OPTIMAL = "optimal"
-
 TIME_LIMIT = "time_limit"
-
 WITHIN_GAP = "within_gap"
-
 INFEASIBLE = "infeasible"
-
 OWN: Final = "own"
-
-HIGHS: Final = "highs"
-"""Solvers: ours, and HiGHS on a whole integer program."""
+HIGHS: Final = "highs"  # solvers: ours, and HiGHS on a whole integer program
 
 
 @dataclass(frozen=True)
@@ -330,6 +324,12 @@ class Cover:
     nodes: int = 0
     solver: str = OWN
     proved_by: str = OWN
+
+
+def infeasible(start: float, **known: Any) -> Cover:
+    """Answer where nothing is allowed; ``start`` : CPU seconds of this process at its beginning."""
+    seconds = time.process_time() - start
+    return Cover(INFEASIBLE, np.empty(0, np.int64), math.inf, math.inf, 0.0, seconds, **known)
 
 
 def is_within(gap: float, objective: float, bound: float) -> bool:

@@ -24,8 +24,7 @@ from roadsight.setcover.common.problem import (
     power_of_two,
 )
 
-MAX_BITS = 2**33
-"""Most choices x targets for which dominance is searched: 1 GiB of bits."""
+MAX_BITS = 2**33  # most choices x targets for which dominance is searched: 1 GiB of bits
 
 
 @dataclass
@@ -68,13 +67,18 @@ def uncoverable_targets(problem: CoverProblem) -> Ints:
     number = alone_to_none(problem.groups)
     alone = number < 0
     number[alone] = number.max(initial=-1) + 1 + np.arange(alone.sum())
-    entries = problem.matrix.tocoo()
-    allowed = ~problem.forbidden[entries.row]
-    seen = sparse.csr_matrix(
-        (np.ones(allowed.sum()), (entries.col[allowed], number[entries.row[allowed]])),
-        shape=(problem.matrix.shape[1], number.max(initial=0) + 1),
-    )
-    return np.flatnonzero(np.diff(seen.indptr) < problem.at_least).astype(np.int64)
+    often = times_coverable(problem.matrix, number, problem.forbidden)
+    return np.flatnonzero(often < problem.at_least).astype(np.int64)
+
+
+def times_coverable(matrix: sparse.csr_matrix, group: Ints, forbidden: Bools) -> Ints:
+    """How often allowed choices can cover each target (n,), those of a group counting once."""
+    entries = matrix.tocoo()
+    free = ~forbidden[entries.row]
+    shape = (matrix.shape[1], int(group.max(initial=0)) + 1)
+    ones = np.ones(int(free.sum()))
+    seen = sparse.csr_matrix((ones, (entries.col[free], group[entries.row[free]])), shape=shape)
+    return np.diff(seen.indptr).astype(np.int64)
 
 
 def _first_instance(problem: CoverProblem) -> Instance:

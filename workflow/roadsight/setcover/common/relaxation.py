@@ -14,40 +14,32 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import coverage, reduced_costs
 from roadsight.setcover.common.problem import Instance, power_of_two
 
+# Targets to begin with, those that the fewest choices cover. Once more than so many constraints are
+# in, slack targets leave.
 FIRST_TARGETS = 300
-"""Targets to begin with, those that the fewest choices cover. Once more than so many constraints
-are in, slack targets leave."""
-ADDED_TARGETS = 60
-"""Most targets that join at once, the most broken ones: more of them make fewer, longer rounds."""
+ADDED_TARGETS = 60  # that join at once, the most broken ones: more make fewer, longer rounds
+# So many broken targets, evenly spaced, are compared before the most broken of them join:
+# neighbours say the same.
 COMPARED_TARGETS = 400
-"""So many broken targets, evenly spaced, are compared before the most broken of them join:
-neighbours say the same."""
-MOST_CONSTRAINTS = 400
-"""Constraints of a linear program that all stay from node to node; of more, slack targets leave."""
-_TOLERANCE = 1e-6
-"""What breaks a constraint, and what makes it slack: ten times the solver's own tolerance."""
+MOST_CONSTRAINTS = 400  # that all stay from node to node; of more, slack targets leave
+_TOLERANCE = 1e-6  # what breaks a constraint or makes it slack: ten times the solver's tolerance
+# Targets that are seen by this more than they need leave while the relaxation is solved: 1,088
+# constraints became 365 on the hardest corridor, and the simplex method's steps take time by them.
 _LOOSE = 0.02
-"""Targets that are seen by this more than they need leave while the relaxation is solved: 1,088
-constraints became 365 on the hardest corridor, and the simplex method's steps take time by them."""
+# Work of an iteration by the constraints of the linear program, in seconds. With the next it is
+# fitted to rail507, scpnrg1 and scpcyc09 as they grow (20 to 320 us an iteration): within a third.
 _ROW_S = 4.9e-8
-"""Work of an iteration by the constraints of the linear program, in seconds. With the next it is
-fitted to rail507, scpnrg1 and scpcyc09 as they grow (20 to 320 us an iteration): within a third."""
-_NONZERO_S = 2.3e-9
-"""The same by the entries."""
+_NONZERO_S = 2.3e-9  # the same by the entries
+# Work of a call whatever its size; 6,389 calls for the 16-channel plan of the sample took 9.6 s
+# beside their iterations.
 _CALL_S = 1.5e-3
-"""Work of a call whatever its size; 6,389 calls for the 16-channel plan of the sample took 9.6 s
-beside their iterations."""
-_RUN_S = 2.5e-8
-"""Work of setting a linear program up by its entries, in seconds, measured."""
-_READ_S = 3e-9
-"""Work of reading the instance by its entries, in seconds, measured."""
+_RUN_S = 2.5e-8  # work of setting a linear program up by its entries, in seconds, measured
+_READ_S = 3e-9  # work of reading the instance by its entries, in seconds, measured
+# Costs beyond this many steps are given to the solver in larger units: its tolerances are absolute
+# and its duals of such costs would never be within them.
 _DEAREST = 2.0**16
-"""Costs beyond this many steps are given to the solver in larger units: its tolerances are absolute
-and its duals of such costs would never be within them."""
-ROUNDING = 2.0**-46
-"""Share of the size of its terms by which a bound may be rounded: taken off it."""
-_TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3
-"""Kinds of constraint."""
+ROUNDING = 2.0**-46  # share of the size of its terms by which a bound may be rounded: taken off it
+_TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3  # kinds of constraint
 
 
 @dataclass(frozen=True)
@@ -159,11 +151,18 @@ class Relaxation:
 
     def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
         """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
-        self._enter(node)
+        low = node.fixed.astype(np.float64)
+        self._highs.changeColsBounds(self.choices, self._variables, low, node.alive.astype(float))
+        self._delete((self._kind == _BRANCH) & ~np.isin(self._number, node.path))
+        present = self._number[self._kind == _BRANCH]
+        self._add(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
         self._highs.setOptionValue("objective_bound", float(goal) / self._unit + _TOLERANCE)
         risen = -np.inf
         while True:
-            self._run(deadline)
+            work_s = run_simplex(self._highs, deadline)
+            work_s += _READ_S * self.instance.by_choice.nnz
+            self.work_s += work_s
+            deadline.spend(work_s)
             if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
                 return self._stopped(np.inf)
             solution = self._read(node)
@@ -175,13 +174,6 @@ class Relaxation:
                 self._delete(self._slack(np.array(self._highs.getSolution().row_value)) > _LOOSE)
             if not self._separate(solution.x):
                 return solution
-
-    def _run(self, deadline: Deadline) -> None:
-        """Solve with the constraints of the moment, within the limit."""
-        work_s = run_simplex(self._highs, deadline)
-        work_s += _READ_S * self.instance.by_choice.nnz
-        self.work_s += work_s
-        deadline.spend(work_s)
 
     def strengthen(
         self, node: Node, solution: Solution, goal: float, deadline: Deadline, parity: bool
@@ -286,15 +278,6 @@ class Relaxation:
         self._add(_TARGET, bad)
         self._add(_GROUP, crowded)
         return bool(len(bad) or len(crowded))
-
-    def _enter(self, node: Node) -> None:
-        """Bounds and branch constraints of a node."""
-        low = node.fixed.astype(np.float64)
-        self._highs.changeColsBounds(self.choices, self._variables, low, node.alive.astype(float))
-        branch = self._kind == _BRANCH
-        self._delete(branch & ~np.isin(self._number, node.path))
-        present = self._number[self._kind == _BRANCH]
-        self._add(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
 
     def _constraint(self, kind: int, number: int) -> Constraint:
         if kind == _CUT:

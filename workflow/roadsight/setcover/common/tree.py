@@ -13,9 +13,9 @@ from roadsight.base.arrays import Bools, Floats, Ints32
 from roadsight.setcover.common.deadline import Deadline, Patience
 from roadsight.setcover.common.relaxation import Node
 
+# Share of a node's choices. Where tightening changes more, the relaxation is solved again before
+# the node is divided; where it changes less, the next bound would hardly be higher.
 _FEW_CHANGES = 0.05
-"""Share of a node's choices. Where tightening changes more, the relaxation is solved again before
-the node is divided; where it changes less, the next bound would hardly be higher."""
 
 
 class BestFirst(ABC):

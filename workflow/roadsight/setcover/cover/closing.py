@@ -17,32 +17,24 @@ from roadsight.setcover.cover.local_search import (
     search_while_it_pays,
 )
 
-_ROOT_CUTS = 40
-"""Most rounds of cuts at the root; on corridors two to thirteen do."""
-_NODE_CUTS = 2
-"""Most rounds of cuts at a node of the tree, where dividing does more."""
+_ROOT_CUTS = 40  # most rounds of cuts at the root; on corridors two to thirteen do
+_NODE_CUTS = 2  # most rounds of cuts at a node of the tree, where dividing does more
+# Bounds that are known when local search is long once: after three rounds of cuts it shows how many
+# choices may be spared. Between all rounds it took all of a minute's work on a highway with 16
+# channels (25 sensors, bound 18 instead of 19).
 _LONG_SEARCH = 4
-"""Bounds that are known when local search is long once: after three rounds of cuts it shows how
-many choices may be spared. Between all rounds it took all of a minute's work on a highway with 16
-channels (25 sensors, bound 18 instead of 19)."""
-_PATIENCE = 3
-"""Rounds whose rise is looked at together: single ones may stand still."""
-_LEAST_RISE = 0.05
-"""Rounds of cuts end where they raise the bound by less than this share of what is missing."""
+_PATIENCE = 3  # rounds whose rise is looked at together: single ones may stand still
+_LEAST_RISE = 0.05  # cuts end where a round closes less than this share of what is missing
+# So many mean costs before the goal the relaxation stops for enumeration: there, bounds often stand
+# still on a whole number for thousands of simplex steps.
 _NEAR = 0.1
-"""So many mean costs before the goal the relaxation stops for enumeration: there, bounds often
-stand still on a whole number for thousands of simplex steps."""
+# Least slack for enumeration, in mean costs. Exactly at the goal, where 1,604 choices had no
+# reduced cost, it excluded 5 of 659 nodes.
 _LEAST_SLACK = 1e-3
-"""Least slack for enumeration, in mean costs. Exactly at the goal, where 1,604 choices had no
-reduced cost, it excluded 5 of 659 nodes."""
-_NODE_SLACK = 0.15
-"""Most slack for enumeration below the root, in mean costs: a node has to be quick."""
-_ROOT_SLACK = 0.5
-"""Most slack for enumeration at the root, in mean costs: its work grows steeply with the slack."""
-_ENUMERATED = 0.25
-"""Share of the relaxation's work that enumerations may take."""
-_LESS_SLACK = 0.85
-"""Enumeration is tried again at a node once the slack is this share of the last one tried."""
+_NODE_SLACK = 0.15  # most slack for enumeration below the root, in mean costs: nodes must be quick
+_ROOT_SLACK = 0.5  # the same at the root: its work grows steeply with the slack
+_ENUMERATED = 0.25  # share of the relaxation's work that enumerations may take
+_LESS_SLACK = 0.85  # it is tried again at a node once the slack is this share of the last one tried
 
 
 class Closing:
@@ -73,26 +65,24 @@ class Closing:
         """What a cover may cost to count, in steps."""
         return self.relaxation.instance.goal(min(self.local.cost, self.ceiling))
 
-    def strengthen(self, node: Node, solution: Solution, deadline: Deadline) -> Solution:
-        """A few rounds of cuts at a node of the tree."""
-        return self._strengthen(node, solution, _NODE_CUTS, deadline)
-
-    def strengthen_root(self, root: Node, solution: Solution, deadline: Deadline) -> Solution:
-        """Cuts at the root, with local search between them while cover and bound are apart."""
-        return self._strengthen(root, solution, _ROOT_CUTS, deadline)
-
-    def _strengthen(
-        self, node: Node, solution: Solution, rounds: int, deadline: Deadline
+    def strengthen(
+        self, node: Node, solution: Solution, deadline: Deadline, at_root: bool = False
     ) -> Solution:
         """Rounds of cuts, as long as they raise the bound by a part of what is missing.
 
-        Cuts by parity join once the others no longer halve what is missing.
+        Cuts by parity join once the others no longer halve what is missing. At the root, there is
+        local search between them while cover and bound are farther apart than enumeration reaches.
         """
         bounds, self._tried = [solution.bound], np.inf
-        at_root = rounds == _ROOT_CUTS
+        instance, rounds = self.relaxation.instance, _ROOT_CUTS if at_root else _NODE_CUTS
         while True:
             solution = self._enumerate(node, solution, deadline)
-            if len(bounds) > rounds or self._is_enough(solution):
+            # No cover that counts is left, or what is known of them is enough.
+            cost, bound = min(self.local.cost, self.ceiling), instance.round_up(solution.bound)
+            found = self.local.cost < self.ceiling < np.inf
+            if found or solution.exceeds(self.goal) or is_within(self.gap, cost, bound):
+                return solution
+            if len(bounds) > rounds:
                 return solution
             fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > self.goal - bounds[-1]
             stronger = self._cut(node, solution, not fast, deadline, at_root)
@@ -101,25 +91,14 @@ class Closing:
             solution = stronger
             bounds.append(solution.bound)
             if at_root:
-                self._search(solution.bound, deadline, len(bounds) == _LONG_SEARCH)
+                if self._long is not None:
+                    enough = solution.bound if np.isinf(self.ceiling) else self.goal
+                    self._long.catch_up(enough, deadline)
+                most_spare = MOST_SPARE if len(bounds) == _LONG_SEARCH else 1
+                search_while_it_pays(self.local, solution.bound, deadline, _ROOT_SLACK, most_spare)
             rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
             if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (self.goal - bounds[-1]):
                 return solution
-
-    def _search(self, bound: float, deadline: Deadline, is_long: bool) -> None:
-        """Local search while cover and bound are farther apart than enumeration reaches."""
-        if self._long is not None:
-            enough = bound if np.isinf(self.ceiling) else self.goal
-            self._long.catch_up(enough, deadline)
-        most_spare = MOST_SPARE if is_long else 1
-        search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, most_spare)
-
-    def _is_enough(self, solution: Solution) -> bool:
-        """Whether no cover that counts is left, or what is known of them is enough."""
-        cost = min(self.local.cost, self.ceiling)
-        bound = self.relaxation.instance.round_up(solution.bound)
-        found = self.local.cost < self.ceiling < np.inf
-        return found or solution.exceeds(self.goal) or is_within(self.gap, cost, bound)
 
     def _cut(
         self, node: Node, solution: Solution, parity: bool, deadline: Deadline, at_root: bool

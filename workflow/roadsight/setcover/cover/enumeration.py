@@ -23,26 +23,13 @@ from roadsight.setcover.common.kernels import Bits, pack_bits
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.relaxation import Node, Solution
 
-_MOST_CHOICES = 4_096
-"""Pairs of more choices would take more than 2 MiB of bits."""
-
-_MOST_WORDS = 2**23
-"""Most words of 64 bits that targets and depths may take: 64 MiB."""
-
-_PRICED = 1e-9
-"""Targets of a dual above this have a price."""
-
-_TIGHT = 0.02
-"""Targets that the shares cover by less than this above their need are looked at before others."""
-
-_TOLERANCE = 1e-7
-"""Room for rounding in slack and money: a cover of exactly the goal must be found."""
-
-_MOVE_S = 2e-9
-"""Work by word or entry that is looked at, in seconds, measured."""
-
-_ENTRY_S = 1e-8
-"""Work by entry that is set up, in seconds, measured."""
+_MOST_CHOICES = 4_096  # pairs of more choices would take more than 2 MiB of bits
+_MOST_WORDS = 2**23  # most words of 64 bits that targets and depths may take: 64 MiB
+_PRICED = 1e-9  # targets of a dual above this have a price
+_TIGHT = 0.02  # targets that shares cover by less than this above their need come first
+_TOLERANCE = 1e-7  # room for rounding in slack and money: a cover of exactly the goal must be found
+_MOVE_S = 2e-9  # work by word or entry that is looked at, in seconds, measured
+_ENTRY_S = 1e-8  # work by entry that is set up, in seconds, measured
 
 
 @dataclass(frozen=True)
@@ -79,7 +66,10 @@ def enumerate_covers(
     fixed = np.flatnonzero(node.fixed)
     money = goal - float(instance.cost[fixed].sum()) + room
     depths = 2 + int(np.searchsorted(np.sort(instance.cost[choices]).cumsum(), money, "right"))
-    if not _is_small(instance, len(choices), depths):
+    # Bits of all targets, and needs and prices at all depths, must find room.
+    words = (len(choices) + 63) // 64 * instance.shape[1]
+    words += depths * (len(choices) + instance.shape[1])
+    if not (0 < len(choices) <= _MOST_CHOICES and words <= _MOST_WORDS):
         return Enumeration(False, None, 0.0)
     choices = choices[np.argsort(-solution.x[choices], kind="stable")]
     prices, slack = _prices(instance, solution, choices, fixed, slack)
@@ -94,12 +84,6 @@ def enumerate_covers(
         cover = node.fixed.copy()
         cover[choices[taken]] = True
     return Enumeration(answer == EXCLUDED, cover, work_s + _MOVE_S * moves)
-
-
-def _is_small(instance: Instance, choices: int, depths: int) -> bool:
-    """Whether bits of all targets, and needs and prices at all depths, find room."""
-    words = (choices + 63) // 64 * instance.shape[1] + depths * (choices + instance.shape[1])
-    return 0 < choices <= _MOST_CHOICES and words <= _MOST_WORDS
 
 
 def _prices(
@@ -156,8 +140,6 @@ def _targets(instance: Instance, solution: Solution, choices: Ints, fixed: Ints)
         first,
     )
 
-
-# Compiled search for sets of choices that stay within a slack, see `enumeration`.
 
 UNDECIDED, EXCLUDED, FOUND = 0, 1, 2
 

@@ -13,30 +13,16 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import arrays
 
-FIRST_STEPS = 2_000
-"""Steps of a search where the bound leaves one choice to spare at most."""
-
-_SPARE_STEPS = 4_000
-"""Steps more for each further choice that the bound leaves."""
-
-MOST_SPARE = 50
-"""Choices that the bound leaves beyond this make a search no longer."""
-
-_CHUNK = 2_000
-"""Steps between two looks at the limit."""
-
-_NEW_TARGETS = 50
-"""Most open targets that join at once, unless the share below is more."""
-
+FIRST_STEPS = 2_000  # steps of a search where the bound leaves one choice to spare at most
+_SPARE_STEPS = 4_000  # steps more for each further choice that the bound leaves
+MOST_SPARE = 50  # choices that the bound leaves beyond this make a search no longer
+_CHUNK = 2_000  # steps between two looks at the limit
+_NEW_TARGETS = 50  # most open targets that join at once, unless the share below is more
+# Most open targets that join at once, as a share of all: the fewer join, the more trials a long
+# road takes before all that matter are in.
 _NEW_SHARE = 1 / 50
-"""Most open targets that join at once, as a share of all: the fewer join, the more trials a long
-road takes before all that matter are in."""
-
-_STEP_S = 1e-6
-"""Fixed work of a step, in seconds, measured."""
-
-_ENTRY_S = 1.2e-9
-"""Work by entry of the matrix that a step reads, in seconds, measured."""
+_STEP_S = 1e-6  # fixed work of a step, in seconds, measured
+_ENTRY_S = 1.2e-9  # work by entry of the matrix that a step reads, in seconds, measured
 
 
 def greedy_cover(instance: Instance) -> Bools | None:
@@ -130,23 +116,18 @@ class LocalSearch:
 
     def accept(self, trial: Bools) -> bool:
         """Whether a cheap trial covers everything: then it is the best, else targets join."""
-        missing = self._missing(trial)
+        taken = self.instance.by_choice[np.flatnonzero(trial)]
+        seen = np.bincount(taken.indices, minlength=taken.shape[1])
+        missing = np.flatnonzero(seen < self.instance.need)
+        most = max(_NEW_TARGETS, round(_NEW_SHARE * len(seen)))
+        if len(missing) > most:  # some, from all over the road
+            missing = missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
         self._trial = trial.copy()
         # Costs that the search has added up along its way are rounded: they are added anew.
         if not len(missing) and float(self.instance.cost[trial].sum()) < self.cost:
             self.best = trial.copy()
         self.active[missing] = True
         return not len(missing)
-
-    def _missing(self, trial: Bools) -> Ints:
-        """Some of the targets that a trial leaves open, from all over the road."""
-        taken = self.instance.by_choice[np.flatnonzero(trial)]
-        seen = np.bincount(taken.indices, minlength=taken.shape[1])
-        missing = np.flatnonzero(seen < self.instance.need)
-        most = max(_NEW_TARGETS, round(_NEW_SHARE * len(seen)))
-        if len(missing) <= most:
-            return missing
-        return missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
 
 
 def search_while_it_pays(
@@ -178,11 +159,120 @@ def search_while_it_pays(
 
 # Moves of choices into and out of a cover, compiled: greedy, and with weights on hard targets.
 
+# Search state: ``score`` is the weight gained by adding a choice, or lost by removing it; ``sizes``
+# holds the numbers of members, of open targets, and of entries read so far.
 _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
 )
-"""Search state: ``score`` is the weight gained by adding a choice, or lost by removing it;
-``sizes`` holds the numbers of members, of open targets, and of entries read so far."""
+
+
+@compiled()
+def fill(
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
+    cost: Floats,
+    need: Ints32,
+    group: Ints,
+    inside: Bools,
+) -> bool:
+    """Take choices by weight gained per cost, then drop superfluous ones; False if it got stuck.
+
+    ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
+    """
+    weight = np.empty(len(need), np.int64)
+    for t in range(len(need)):
+        weight[t] = 1
+    state = _new_state(start, group, weight)
+    while state.sizes[1] > 0:
+        best = -1
+        for choice in range(len(cost)):
+            if state.inside[choice] or state.score[choice] == 0:
+                continue
+            if group[choice] >= 0 and state.occupant[group[choice]] >= 0:
+                continue
+            if _better(choice, best, cost, state, 1):
+                best = choice
+        if best < 0:
+            return False
+        _add(best, start, index, tstart, tindex, need, group, state)
+    while state.sizes[0] > 0:
+        choice = _cheapest_loss(-1, cost, state)
+        if state.score[choice] > 0:
+            break
+        _remove(choice, start, index, tstart, tindex, need, group, state)
+    _copy(state.inside, inside)
+    return True
+
+
+@compiled()
+def exchange(
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
+    cost: Floats,
+    need: Ints32,
+    group: Ints,
+    first: Bools,
+    goal: float,
+    steps: int,
+    weight: Ints,
+    rng: np.random.Generator,
+) -> tuple[Bools, bool, int, int]:
+    """Members, whether they cover all at a cost of at most ``goal``, steps used, entries read.
+
+    A step takes out the choices that lose least until the rest is cheap enough, and covers open
+    targets, drawn at random, as long as the goal allows; what stays open weighs one more.
+
+    Parameters
+    ----------
+    start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
+    weight : (n,) of the targets, changed. steps : at most so many.
+    """
+    state = _new_state(start, group, weight.copy())
+    for choice in range(len(cost)):
+        state.score[choice] = 0
+        for p in range(start[choice], start[choice + 1]):
+            state.score[choice] += weight[index[p]]
+    total = 0.0
+    for choice in range(len(cost)):
+        if first[choice]:
+            _add(choice, start, index, tstart, tindex, need, group, state)
+            total += cost[choice]
+    tabu = -1
+    for step in range(1, steps + 1):
+        if state.sizes[1] == 0 and total <= goal:
+            return state.inside.copy(), True, step, state.sizes[2]
+        choice = _cheapest_loss(tabu, cost, state)
+        while choice >= 0:
+            _remove(choice, start, index, tstart, tindex, need, group, state)
+            state.stamp[choice] = step
+            total -= cost[choice]
+            if total <= goal and state.sizes[1] > 0:
+                break
+            choice = _cheapest_loss(tabu, cost, state)
+        while state.sizes[1] > 0:
+            t = state.open[rng.integers(0, state.sizes[1])]
+            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
+            if best < 0:
+                break
+            mate = state.occupant[group[best]] if group[best] >= 0 else -1
+            if mate >= 0:
+                _remove(mate, start, index, tstart, tindex, need, group, state)
+                state.stamp[mate] = step
+                total -= cost[mate]
+            _add(best, start, index, tstart, tindex, need, group, state)
+            state.stamp[best] = step
+            total += cost[best]
+            tabu = best
+            if mate >= 0:
+                break  # two choices of one group could replace each other for ever
+        _weigh_open(tstart, tindex, state)
+    _copy(state.weight, weight)
+    done = state.sizes[1] == 0 and total <= goal
+    return state.inside.copy(), done, steps, state.sizes[2]
 
 
 @compiled_part()
@@ -305,115 +395,6 @@ def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: 
     return best
 
 
-@compiled()
-def fill(
-    start: Ints32,
-    index: Ints32,
-    tstart: Ints32,
-    tindex: Ints32,
-    cost: Floats,
-    need: Ints32,
-    group: Ints,
-    inside: Bools,
-) -> bool:
-    """Take choices by weight gained per cost, then drop superfluous ones; False if it got stuck.
-
-    ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
-    """
-    weight = np.empty(len(need), np.int64)
-    for t in range(len(need)):
-        weight[t] = 1
-    state = _new_state(start, group, weight)
-    while state.sizes[1] > 0:
-        best = -1
-        for choice in range(len(cost)):
-            if state.inside[choice] or state.score[choice] == 0:
-                continue
-            if group[choice] >= 0 and state.occupant[group[choice]] >= 0:
-                continue
-            if _better(choice, best, cost, state, 1):
-                best = choice
-        if best < 0:
-            return False
-        _add(best, start, index, tstart, tindex, need, group, state)
-    while state.sizes[0] > 0:
-        choice = _cheapest_loss(-1, cost, state)
-        if state.score[choice] > 0:
-            break
-        _remove(choice, start, index, tstart, tindex, need, group, state)
-    _copy(state.inside, inside)
-    return True
-
-
-@compiled()
-def exchange(
-    start: Ints32,
-    index: Ints32,
-    tstart: Ints32,
-    tindex: Ints32,
-    cost: Floats,
-    need: Ints32,
-    group: Ints,
-    first: Bools,
-    goal: float,
-    steps: int,
-    weight: Ints,
-    rng: np.random.Generator,
-) -> tuple[Bools, bool, int, int]:
-    """Members, whether they cover all at a cost of at most ``goal``, steps used, entries read.
-
-    A step takes out the choices that lose least until the rest is cheap enough, and covers open
-    targets, drawn at random, as long as the goal allows; what stays open weighs one more.
-
-    Parameters
-    ----------
-    start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
-    weight : (n,) of the targets, changed. steps : at most so many.
-    """
-    state = _new_state(start, group, weight.copy())
-    for choice in range(len(cost)):
-        state.score[choice] = 0
-        for p in range(start[choice], start[choice + 1]):
-            state.score[choice] += weight[index[p]]
-    total = 0.0
-    for choice in range(len(cost)):
-        if first[choice]:
-            _add(choice, start, index, tstart, tindex, need, group, state)
-            total += cost[choice]
-    tabu = -1
-    for step in range(1, steps + 1):
-        if state.sizes[1] == 0 and total <= goal:
-            return state.inside.copy(), True, step, state.sizes[2]
-        choice = _cheapest_loss(tabu, cost, state)
-        while choice >= 0:
-            _remove(choice, start, index, tstart, tindex, need, group, state)
-            state.stamp[choice] = step
-            total -= cost[choice]
-            if total <= goal and state.sizes[1] > 0:
-                break
-            choice = _cheapest_loss(tabu, cost, state)
-        while state.sizes[1] > 0:
-            t = state.open[rng.integers(0, state.sizes[1])]
-            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
-            if best < 0:
-                break
-            mate = state.occupant[group[best]] if group[best] >= 0 else -1
-            if mate >= 0:
-                _remove(mate, start, index, tstart, tindex, need, group, state)
-                state.stamp[mate] = step
-                total -= cost[mate]
-            _add(best, start, index, tstart, tindex, need, group, state)
-            state.stamp[best] = step
-            total += cost[best]
-            tabu = best
-            if mate >= 0:
-                break  # two choices of one group could replace each other for ever
-        _weigh_open(tstart, tindex, state)
-    _copy(state.weight, weight)
-    done = state.sizes[1] == 0 and total <= goal
-    return state.inside.copy(), done, steps, state.sizes[2]
-
-
 @compiled_part()
 def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Affordable choice over target t that gains most; -1: none."""
@@ -446,38 +427,22 @@ def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa:
 # 2015), mostly among the choices that are cheap by the relaxation's reduced costs: the core
 # problem of Caprara, Fischetti and Toth (1999).
 
+# Choices by target that are cheap. On a railway's crews (63,009 choices) the search got to 174 in 3
+# to 9 CPU s of 15 with 10 in two of three runs, to 175 with 5, 20 and 40, to 177 with all.
 CHEAP_CHOICES = 10
-"""Choices by target that are cheap. On a railway's crews (63,009 choices) the search got to 174 in
-3 to 9 CPU s of 15 with 10 in two of three runs, to 175 with 5, 20 and 40, to 177 with all."""
-
+# Bursts among cheap choices before one among all: where no cover below the best consists of cheap
+# choices, only the latter finds one.
 _CHEAP_BURSTS = 3
-"""Bursts among cheap choices before one among all: where no cover below the best consists of cheap
-choices, only the latter finds one."""
-
-_BURST_S = 0.25
-"""Work of a burst: looking for targets and choices anew takes a hundredth of it."""
-
-_BURST_STEPS = 20_000
-"""Steps between two looks at the work."""
-
-_HEAD_S = 2.0
-"""Work of the proof before it shares: the ten corridors of the benchmark are proven about then."""
-
+_BURST_S = 0.25  # work of a burst: looking for targets and choices anew takes a hundredth of it
+_BURST_STEPS = 20_000  # steps between two looks at the work
+_HEAD_S = 2.0  # work of the proof before it shares: ten corridors are proven about then
+# So many mean costs between cover and bound, the search goes ahead of the proof: cuts close less in
+# seconds, and each cut is chosen for the cover known.
 _AHEAD_SPARE = 3.0
-"""So many mean costs between cover and bound, the search goes ahead of the proof: cuts close less
-in seconds, and each cut is chosen for the cover known."""
-
-_AHEAD_SHARE = 0.25
-"""Share of the time left that it may take ahead of the proof."""
-
-_AHEAD_S = 0.3
-"""Work ahead of the proof without a find that ends it, more after late finds (see below)."""
-
-_BESIDE_S = 10.0
-"""The same beside the proof."""
-
-_PATIENCE = 4.0
-"""It goes on for so many times the work that its last find took, too."""
+_AHEAD_SHARE = 0.25  # share of the time left that it may take ahead of the proof
+_AHEAD_S = 0.3  # work ahead of the proof without a find that ends it, more after late finds
+_BESIDE_S = 10.0  # the same beside the proof
+_PATIENCE = 4.0  # it goes on for so many times the work that its last find took, too
 
 
 class LongSearch:

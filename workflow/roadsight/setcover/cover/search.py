@@ -25,18 +25,12 @@ from roadsight.setcover.common.tree import (
 from roadsight.setcover.cover.closing import Closing
 from roadsight.setcover.cover.local_search import LocalSearch, LongSearch
 
-_WHOLE = 1e-6
-"""Shares nearer than this to a whole number are whole: ten times the solver's own tolerance."""
-
-_FIRST_RETRY = 32
-"""Nodes of a tree before local search is tried again: smaller trees end soon by themselves."""
-
+_WHOLE = 1e-6  # shares nearer to a whole number are whole: ten times the solver's tolerance
+_FIRST_RETRY = 32  # nodes before local search is tried again: smaller trees end soon
+# Steps of local search by node of the tree, each time the tree has doubled. More of them take work
+# from the proof, fewer leave the tree to refute covers that local search would have found.
 _STEPS_PER_NODE = 400
-"""Steps of local search by node of the tree, each time the tree has doubled. More of them take
-work from the proof, fewer leave the tree to refute covers that local search would have found."""
-
-_ENTRY_S = 4e-9
-"""Work of a propagation by entry of the matrix, in seconds, measured."""
+_ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, in seconds, measured
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ class Search(BestFirst):
 
     def strengthen(self, root: Solution, deadline: Deadline) -> Solution:
         """Cuts at the root, as long as they pay, and local search between them."""
-        return self._closing.strengthen_root(self._everything(), root, deadline)
+        return self._closing.strengthen(self._everything(), root, deadline, at_root=True)
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
@@ -139,7 +133,8 @@ class Search(BestFirst):
             left = self._propagate(node)
             if left is None or self.instance.cost[node.fixed].sum() > goal:
                 return np.inf, ()
-            if (left <= 0).all() and self._keeps(node.fixed, node.path):
+            branches = (self.relaxation.branches[k] for k in node.path)
+            if (left <= 0).all() and all(node.fixed[choices].any() for choices in branches):
                 self.local.best = node.fixed.copy()
                 return np.inf, ()
             solution = self.relaxation.solve(node, goal, deadline)
@@ -195,9 +190,6 @@ class Search(BestFirst):
             )
         return left
 
-    def _keeps(self, chosen: Bools, path: tuple[int, ...]) -> bool:
-        return all(chosen[self.relaxation.branches[k]].any() for k in path)
-
     def _takes(self, solution: Solution) -> bool:
         """Whether a solution is a cover that nothing below its node is cheaper than.
 
@@ -207,10 +199,7 @@ class Search(BestFirst):
         if np.abs(solution.x - np.round(solution.x)).max() >= _WHOLE:
             return False
         chosen, instance = solution.x > 0.5, self.instance
-        group = instance.group[chosen & (instance.group >= 0)]
-        seen = instance.by_choice.T @ chosen.astype(np.int32)
-        allowed = (seen >= instance.need).all() and len(np.unique(group)) == len(group)
-        if allowed and float(instance.cost[chosen].sum()) < self.cost:
+        if instance.is_cover(chosen) and float(instance.cost[chosen].sum()) < self.cost:
             self.local.best = chosen
         return solution.exceeds(self.goal)
 
@@ -221,15 +210,12 @@ class Search(BestFirst):
 # refuted for all. Its instance is far smaller, and many of its choices are alike. A cheap cover
 # of the core either covers everything, or leaves targets open that join the core.
 
+# Share of all targets that is still a core: with more of them the proof is hardly easier, and may
+# have to begin again once other targets join.
 _LARGEST_SHARE = 0.5
-"""Share of all targets that is still a core: with more of them the proof is hardly easier, and may
-have to begin again once other targets join."""
-
-_STEPS = 2_000
-"""Steps of local search after a cover of the core that leaves targets open, which join it."""
-
+_STEPS = 2_000  # steps of local search after a cover of the core that leaves targets open
+# Outcome of an instance: its best cover, or any that costs less than a ceiling.
 SolvePart = Callable[[Instance, Deadline, float], Outcome]
-"""Outcome of an instance: its best cover, or any that costs less than a ceiling."""
 
 
 def is_small(local: LocalSearch) -> bool:
@@ -281,15 +267,12 @@ def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcom
     return Outcome(chosen if cheap else None, bound, nodes)
 
 
-# Division of a node: do two targets share a choice or not.
-
+# So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
+# pairs of others promise less; a larger number takes time by its square.
 _PAIRED_TARGETS = 80
-"""So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
-pairs of others promise less; a larger number takes time by its square."""
-
+# Pairs whose common share is nearer to a whole number than this count as decided: what is left may
+# be the solver's tolerance, and a division by it changes next to nothing.
 _FRACTION = 1e-3
-"""Pairs whose common share is nearer to a whole number than this count as decided: what is left may
-be the solver's tolerance, and a division by it changes next to nothing."""
 
 
 def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node, Node]:

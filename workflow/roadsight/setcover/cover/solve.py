@@ -16,7 +16,6 @@ from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,
-    INFEASIBLE,
     NEAR,
     OPTIMAL,
     OWN,
@@ -25,6 +24,7 @@ from roadsight.setcover.common.problem import (
     Cover,
     CoverProblem,
     Instance,
+    infeasible,
     is_within,
     relative_gap,
 )
@@ -40,9 +40,9 @@ from roadsight.setcover.cover.local_search import (
 )
 from roadsight.setcover.cover.search import Outcome, Search, is_small, prove_on_core
 
+# Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
+# and hard ones share what is left.
 _TRIAL = 8
-"""Part of the limit in which all parts of a problem are tried once: easy ones are done with then,
-and hard ones share what is left."""
 
 
 def solve_cover_problem(
@@ -63,11 +63,11 @@ def solve_cover_problem(
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     reduced = reduce_problem(problem)
     if len(reduced.uncoverable) or not reduced.feasible:
-        return _infeasible(reduced, start)
+        return infeasible(start, uncoverable=reduced.uncoverable, reductions=reduced.counts)
     parts = sorted(reduced.parts, key=lambda part: part.by_choice.nnz)
     solved = _solve_parts(parts, np.random.default_rng(seed), deadline, gap)
     if any(one.impossible for one in solved):
-        return _infeasible(reduced, start)
+        return infeasible(start, uncoverable=reduced.uncoverable, reductions=reduced.counts)
     return _assemble(problem, reduced, solved, start, gap)
 
 
@@ -82,11 +82,6 @@ class _Solved:
     outcome: Outcome
     relaxed: float | None
     short: bool
-
-    @property
-    def proven(self) -> bool:
-        """Whether nothing cheaper is left."""
-        return _proven(self.part, self.outcome.best, self.outcome.bound)
 
     @property
     def impossible(self) -> bool:
@@ -116,7 +111,12 @@ def _solve_parts(
                 tried, had_s[number] = True, share.left_s()
                 before = solved[number]
                 again = _solve_share(before.part, rng, share, gap, before.outcome.best)
-                solved[number] = _better(before, again)
+                # Of both tries the cheaper cover and the higher bound.
+                scale = again.part.step / before.part.step
+                bound = max(before.outcome.bound / scale, again.outcome.bound)
+                nodes = before.outcome.nodes + again.outcome.nodes
+                best = Outcome(again.outcome.best, bound, nodes)
+                solved[number] = replace(again, outcome=best)
     return solved
 
 
@@ -129,30 +129,14 @@ def _solve_share(
 ) -> _Solved:
     """One part within its share of the limit, from a cover that is known, if any."""
     best = greedy_cover(part) if known is None else known
-    part, best = _affordable(part, best)
+    # Choices that cost more than a whole cover does would set the scale of costs.
+    if best is not None and (dear := part.cost > part.cost[best].sum()).any():
+        part = part.select(~dear, np.ones(part.shape[1], bool)).rescaled()
+        best = best[~dear]
     outcome, relaxed = _solve_part(part, best, rng, share, gap)
     cost = math.inf if outcome.best is None else float(part.cost[outcome.best].sum())
     enough = _proven(part, outcome.best, outcome.bound) or is_within(gap, cost, outcome.bound)
     return _Solved(part, outcome, relaxed, share.passed() and not enough)
-
-
-def _affordable(part: Instance, best: Bools | None) -> tuple[Instance, Bools | None]:
-    """Without choices that cost more than a whole cover does: they would set the scale of costs."""
-    if best is None:
-        return part, best
-    dear = part.cost > part.cost[best].sum()
-    if not dear.any():
-        return part, best
-    left = part.select(~dear, np.ones(part.shape[1], bool))
-    return left.rescaled(), best[~dear]
-
-
-def _better(first: _Solved, second: _Solved) -> _Solved:
-    """Of two tries of one part the cheaper cover and the higher bound."""
-    scale = second.part.step / first.part.step
-    bound = max(first.outcome.bound / scale, second.outcome.bound)
-    nodes = first.outcome.nodes + second.outcome.nodes
-    return replace(second, outcome=Outcome(second.outcome.best, bound, nodes))
 
 
 def _solve_part(
@@ -163,7 +147,16 @@ def _solve_part(
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
     if is_large(instance) and best is not None:
-        return _solve_large(instance, best, rng, deadline, gap)
+        # At most a third of the time goes to a bound.
+        inner = interior_bound(instance, rng, deadline.part(3))
+        bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
+        local = LocalSearch(instance, best, inner.target_dual > 0, rng)
+        search_while_it_pays(local, bound, deadline)
+        LongSearch(local, inner.reduced_cost, deadline).ahead(bound, deadline)
+        outcome = Outcome(local.best, bound, 0)
+        if not (_enough(instance, local.best, bound, gap) or deadline.passed()):
+            outcome = _prove(local, bound, rng, deadline, gap)
+        return outcome, inner.bound
     relaxation, root = _root(instance, np.inf, deadline.part(2))
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
@@ -198,20 +191,6 @@ def _cut_and_branch(
         return _prove(local, bound, rng, deadline, gap)
     outcome = search.run(cut, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
-
-
-def _solve_large(
-    instance: Instance, best: Bools, rng: np.random.Generator, deadline: Deadline, gap: float
-) -> tuple[Outcome, float]:
-    """Outcome of a large instance from a cover: at most a third of the time goes to a bound."""
-    inner = interior_bound(instance, rng, deadline.part(3))
-    bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
-    local = LocalSearch(instance, best, inner.target_dual > 0, rng)
-    search_while_it_pays(local, bound, deadline)
-    LongSearch(local, inner.reduced_cost, deadline).ahead(bound, deadline)
-    if _enough(instance, local.best, bound, gap) or deadline.passed():
-        return Outcome(local.best, bound, 0), inner.bound
-    return _prove(local, bound, rng, deadline, gap), inner.bound
 
 
 def _prove(
@@ -273,25 +252,12 @@ def _simple_bound(instance: Instance) -> float:
     return float((least * instance.need).sum())
 
 
-def _infeasible(reduced: Reduced, start: float) -> Cover:
-    return Cover(
-        INFEASIBLE,
-        np.empty(0, np.int64),
-        math.inf,
-        math.inf,
-        0.0,
-        time.process_time() - start,
-        reduced.uncoverable,
-        reduced.counts,
-    )
-
-
 def _assemble(
     problem: CoverProblem, reduced: Reduced, solved: list[_Solved], start: float, gap: float
 ) -> Cover:
     """Answer of the whole problem from those of its parts."""
     found = all(one.outcome.best is not None for one in solved)
-    proven = all(one.proven for one in solved)
+    proven = all(_proven(one.part, one.outcome.best, one.outcome.bound) for one in solved)
     base = math.fsum(problem.costs[reduced.taken])
     bound = base + math.fsum(one.outcome.bound * one.part.step for one in solved)
     taken = [one.part.choice[one.outcome.best] for one in solved if one.outcome.best is not None]
@@ -322,14 +288,9 @@ def _assemble(
 # holds, and neighbours that are nearly alike. Where few entries are left, HiGHS has more to
 # branch with: pseudo-costs, conflicts, cuts of many families.
 
-_MOST_ENTRIES = 60_000
-"""Entries of the matrix that reduced costs leave, up to which HiGHS branches better."""
-
-_TOLERANCE = 1e-6
-"""HiGHS's own: coefficients are 1, and with 1e-9 the same trees took up to three times as long."""
-
-_MOST_SPARE = 6.0
-"""Choices of mean cost by which cover and bound may be apart for it: no tree closes more."""
+_MOST_ENTRIES = 60_000  # entries that reduced costs leave, up to which HiGHS branches better
+_TREE_TOLERANCE = 1e-6  # HiGHS's own: with 1e-9 the same trees took up to three times as long
+_MOST_SPARE = 6.0  # mean costs that cover and bound may be apart for it: no tree closes more
 
 
 def is_for_highs(instance: Instance, node: Node, best: Bools, bound: float) -> bool:
@@ -362,7 +323,7 @@ def branch_by_highs(
         deadline,
         gap if gap else 0.0 if instance.integral else NEAR / 2,
         1.0 if instance.integral else 0.0,
-        tolerance=_TOLERANCE,
+        tolerance=_TREE_TOLERANCE,
     )
     # Covers that the node leaves out cost more than the goal, by a step where there is one.
     beyond = cost if instance.integral else float(np.nextafter(instance.goal(cost), np.inf))
@@ -370,7 +331,7 @@ def branch_by_highs(
     if found.x is not None:
         chosen = np.zeros(len(best), bool)
         chosen[np.flatnonzero(alive)[found.x > 0.5]] = True
-        if _is_cover(instance, chosen) and float(instance.cost[chosen].sum()) < cost:
+        if instance.is_cover(chosen) and float(instance.cost[chosen].sum()) < cost:
             best = chosen
     return Outcome(best, min(bound, float(instance.cost[best].sum())), found.nodes, HIGHS)
 
@@ -393,12 +354,6 @@ def cover_program(instance: Instance, fixed: Bools) -> Program:
     )
 
 
-def _is_cover(instance: Instance, chosen: Bools) -> bool:
-    group = instance.group[chosen & (instance.group >= 0)]
-    seen = instance.by_choice.T @ chosen.astype(np.int32)
-    return bool((seen >= instance.need).all()) and len(np.unique(group)) == len(group)
-
-
 # Bound of a large instance by interior points.
 #
 # The simplex method walks from vertex to vertex, the longer the more targets a road has. A bound
@@ -406,37 +361,18 @@ def _is_cover(instance: Instance, chosen: Bools) -> bool:
 # enter where the last shares leave them open, and leave without a dual. Groups are left out:
 # without them a cover is at most cheaper.
 
+# Choices x targets above which interior points are used: the published sizes have up to 17 million.
+# 1 km of road took 16 s with them and 42 s with the simplex method; 250 m took that 0.9 s.
 _LARGE = 40_000_000
-"""Choices x targets above which interior points are used: the published sizes have up to 17
-million. 1 km of road took 16 s with them and 42 s with the simplex method; 250 m took that 0.9 s.
-"""
-
-_LEAST_TARGETS = 500
-"""The two shares below stand for so many targets at least."""
-
-_FIRST_SHARE = 1 / 12
-"""Share of all targets to begin with: drawn at random, they are spread over the road."""
-
-_ADDED_SHARE = 1 / 24
-"""Share of all targets that join at once at most."""
-
-_OPEN = 1e-3
-"""Targets that lack more than this are open. Interior points stop near the optimum, not at it."""
-
-_IDLE = 1e-6
-"""Targets whose dual is no more than this leave."""
-
-_LEAST_RISE = 2e-3
-"""Share by which a round must raise the bound to count as progress."""
-
-_TOLERANCE_INTERIOR = 1e-5
-"""Accuracy that the solver is asked for. Any duals give a bound, and the last digits cost steps."""
-
-_PATIENCE = 3
-"""Rounds without progress that end it."""
-
-_STEP_S = 3e-7
-"""Work of a step by entry of the linear program, in seconds, measured."""
+_LEAST_TARGETS = 500  # the two shares below stand for so many targets at least
+_FIRST_SHARE = 1 / 12  # share of all targets to begin with, drawn at random over the road
+_ADDED_SHARE = 1 / 24  # share of all targets that join at once at most
+_OPEN = 1e-3  # targets that lack more are open: interior points stop near the optimum, not at it
+_IDLE = 1e-6  # targets whose dual is no more than this leave
+_LEAST_RISE = 2e-3  # share by which a round must raise the bound to count as progress
+_ACCURACY = 1e-5  # of the solver: any duals give a bound, and the last digits cost steps
+_PATIENCE = 3  # rounds without progress that end it
+_STEP_S = 3e-7  # work of a step by entry of the linear program, in seconds, measured
 
 
 def is_large(instance: Instance) -> bool:
@@ -479,7 +415,7 @@ def _solve(instance: Instance, targets: Ints, deadline: Deadline) -> Solution:
         solver="ipm",
         run_crossover="off",
         presolve="off",
-        ipm_optimality_tolerance=_TOLERANCE_INTERIOR,
+        ipm_optimality_tolerance=_ACCURACY,
         ipm_iteration_limit=deadline.count_left(step_s),
     )
     if np.isfinite(deadline.clock_left_s()):

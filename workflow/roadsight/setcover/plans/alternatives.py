@@ -87,23 +87,17 @@ def most_different(
     shared = np.isin(place, place[chosen])
     plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
     step = objective_step(np.asarray(deployment.cost)) if plain else 0.0
-    solve = _by_cover if step and not math.isfinite(deployment.budget) else _by_deployment
-    found, bound = solve(deployment, chosen, shared, limit, seed)
+    if step and not math.isfinite(deployment.budget):
+        # As a cover whose costs count the overlap last.
+        both = np.round(np.asarray(deployment.cost) / step) * (len(chosen) + 1) + shared
+        old = both[chosen].sum() - shared[chosen].sum()
+        cover = solve_cover_problem(deployment.problem.changed(costs=both), limit, seed)
+        found = cover.chosen if cover.objective <= both[chosen].sum() else chosen
+        bound = max(cover.bound - old, 0.0)
+    else:
+        found, bound = _by_deployment(deployment, chosen, shared, limit, seed)
     overlap = int(shared[found].sum())
     return Different(found, overlap, min(math.ceil(bound - 1e-6), overlap))
-
-
-def _by_cover(
-    deployment: Deployment, chosen: Ints, shared: Bools, limit: Deadline | float | None, seed: int
-) -> tuple[Ints, float]:
-    """As a cover whose costs count the overlap last."""
-    problem, cost = deployment.problem, np.asarray(deployment.cost)
-    most = len(chosen) + 1
-    both = np.round(cost / objective_step(cost)) * most + shared
-    old = both[chosen].sum() - shared[chosen].sum()
-    cover = solve_cover_problem(problem.changed(costs=both), limit, seed)
-    found = cover.chosen if cover.objective <= both[chosen].sum() else chosen
-    return found, max(cover.bound - old, 0.0)
 
 
 def _by_deployment(

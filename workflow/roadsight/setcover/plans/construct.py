@@ -13,22 +13,16 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import count_of_rows, sums_of_rows
 from roadsight.setcover.plans.cuts import Cuts
 
-_ENTRY_S = 2e-9
-"""Work of a fill by entry of the matrix, in seconds, measured."""
-_LEAST = 0.1
-"""Least share of the best choices that a trial takes out."""
-_MOST = 0.5
-"""Most of them: with more, a trial is a new greedy fill that forgets what was good."""
-_NEARER = 1e-2
-"""Share of what is proven by which an answer must be better: sums are rounded."""
-_PULL = 1.3
-"""Factor by which an unseen target draws more in the next trial, as long as there is no answer."""
-
+_ENTRY_S = 2e-9  # work of a fill by entry of the matrix, in seconds, measured
+_LEAST = 0.1  # least share of the best choices that a trial takes out
+_MOST = 0.5  # most of them: with more, a trial is a new greedy fill that forgets what was good
+_NEARER = 1e-2  # share of what is proven by which an answer must be better: sums are rounded
+_PULL = 1.3  # factor by which unseen targets draw more in the next trial, while there is no answer
+# Matrix by choice and by target, what targets weigh and need, what choices cost (``divisor``: as
+# gains are divided by it), their sets and how much each is liked.
 _Rules = namedtuple(
     "_Rules", "start index tstart tindex weight need divisor charge set_start sets allowed liking"
 )
-"""Matrix by choice and by target, what targets weigh and need, what choices cost (``divisor``: as
-gains are divided by it), their sets and how much each is liked."""
 
 
 class Builder:
@@ -65,7 +59,7 @@ class Builder:
         """Fill up from some choices (those that break a set are left out), tidy up and offer."""
         inside = self._compatible(start)
         liking = np.ones(self.cuts.choices) if liking is None else liking
-        self._fill(inside, self.cuts.weight, self.cuts.need, liking)
+        self._fill(inside, liking)
         chosen = np.flatnonzero(inside)
         if self.deployment.keep:
             chosen = self._second_sight(inside, liking)
@@ -105,10 +99,11 @@ class Builder:
             spent += charge[choice]
         return inside
 
-    def _fill(self, inside: Bools, weight: Floats, need: Ints, liking: Floats) -> None:
+    def _fill(self, inside: Bools, liking: Floats) -> None:
         deployment, by_choice, by_target = self.deployment, self.cuts.by_choice, self.cuts.by_target
+        need = self.cuts.need
         # A target that must be seen draws whatever its weight.
-        each = np.ones(len(need)) if deployment.complete else weight
+        each = np.ones(len(need)) if deployment.complete else self.cuts.weight
         wanted = np.where(need > 0, self._pull * each, 0.0)
         charge = np.asarray(deployment.charge)
         finite = math.isfinite(deployment.spendable)
@@ -137,33 +132,28 @@ class Builder:
 
     def _second_sight(self, inside: Bools, liking: Floats) -> Ints:
         """Choices with more beside them until no failure of one takes too much."""
-        need, weight = self.cuts.need, self.cuts.weight
+        need, weight, deployment = self.cuts.need, self.cuts.weight, self.deployment
+        charge = np.asarray(deployment.charge)
+        price = charge if math.isfinite(deployment.budget) else np.asarray(deployment.cost)
         while True:
             chosen = np.flatnonzero(inside)
             count = count_of_rows(*self._matrix, chosen, len(need))
             critical = (count == need) & (need > 0)
             covered = weight[count >= need].sum()
             lost = sums_of_rows(*self._matrix, chosen, np.where(critical, weight, 0.0))
-            bad = lost > (1 - self.deployment.keep) * covered * (1 + 1e-9)
+            bad = lost > (1 - deployment.keep) * covered * (1 + 1e-9)
             if not bad.any():
                 return chosen
             hit = critical & (count_of_rows(*self._matrix, chosen[bad], len(need)) > 0)
             gain = (self.cuts.by_choice @ np.where(hit, weight, 0.0)) * liking
-            choice = self._best_addition(inside, gain)
-            if choice < 0:
+            used = deployment.exclusive @ inside.astype(np.int32) > 0
+            left = deployment.spendable - charge[inside].sum()
+            free = self._allowed & ~inside & (charge <= left)
+            free &= deployment.exclusive.T @ used == 0
+            score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
+            if not (score > 0).any():
                 return chosen
-            inside[choice] = True
-
-    def _best_addition(self, inside: Bools, gain: Floats) -> int:
-        """Choice that may be added and gains most for what it costs; -1: none."""
-        exclusive, deployment = self.deployment.exclusive, self.deployment
-        used = exclusive @ inside.astype(np.int32) > 0
-        charge = np.asarray(deployment.charge)
-        left = deployment.spendable - charge[inside].sum()
-        free = self._allowed & ~inside & (charge <= left) & (exclusive.T @ used == 0)
-        price = charge if math.isfinite(deployment.budget) else np.asarray(deployment.cost)
-        score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
-        return int(np.argmax(score)) if (score > 0).any() else -1
+            inside[int(np.argmax(score))] = True
 
     def _tidy(self, chosen: Ints) -> Ints:
         """Without choices that are worth less than they cost, the least useful first."""

@@ -83,7 +83,7 @@ def coverage_curve(
     pool: list[Cut] = []
     ordered = sorted(set(budgets))
     for number, budget in enumerate(ordered):
-        asked = base.with_budget(budget)
+        asked = replace(base, budget=budget)
         starts = [*(p.chosen for p in points[-1:]), *known]
         part = deadline.part(len(ordered) - number)
         if solver == HIGHS:
@@ -92,29 +92,18 @@ def coverage_curve(
             found = solve_deployment(asked, part, seed, gap, starts, pool)
             cover, pool = found.cover, found.pool or pool
         if cover.status != INFEASIBLE and math.isfinite(cover.objective):
-            bound = min(-cover.bound, _most(asked, full))
-            points.append(_point(asked, budget, cover.chosen, bound))
+            bound = -cover.bound
+            weights = np.asarray(asked.weights)[asked.problem.at_least > 0]
+            if not asked.keep and budget < full * (1 - 1e-9) and (weights > 0).all():
+                # A budget that does not see everything leaves out one target at least.
+                bound = min(bound, asked.total - float(weights.min(initial=0.0)))
+            spent = math.fsum(np.asarray(asked.charge)[cover.chosen])
+            value = asked.guaranteed(cover.chosen)
+            bound = max(bound, value)
+            points.append(CurvePoint(budget, spent, cover.chosen, value, bound, ""))
     if not points:
         raise InputError("no budget pays for the mandatory rows", where="curve", found=ordered)
-    return _monotone(points, base, gap)
-
-
-def _most(deployment: Deployment, full: float) -> float:
-    """Most that a budget can see which does not see everything."""
-    asked = np.asarray(deployment.weights)[deployment.problem.at_least > 0]
-    if deployment.keep or deployment.budget >= full * (1 - 1e-9) or not (asked > 0).all():
-        return math.inf
-    return deployment.total - float(asked.min(initial=0.0))
-
-
-def _point(deployment: Deployment, budget: float, chosen: Ints, bound: float) -> CurvePoint:
-    spent = math.fsum(np.asarray(deployment.charge)[chosen])
-    value = deployment.guaranteed(chosen)
-    return CurvePoint(budget, spent, chosen, value, max(bound, value), "")
-
-
-def _monotone(points: list[CurvePoint], base: Deployment, gap: float) -> list[CurvePoint]:
-    """What a larger budget cannot reach, a smaller one cannot either."""
+    # What a larger budget cannot reach, a smaller one cannot either.
     least = math.inf
     result = []
     for point in reversed(points):
@@ -132,9 +121,6 @@ def spread_budgets(least: float, most: float, points: int, step: float) -> list[
     if step > 0:
         values = np.unique(np.ceil(values / step - 1e-9)) * step
     return [float(v) for v in np.minimum(values, most)]
-
-
-# Best coverage for a budget.
 
 
 def maximise_coverage(

@@ -16,20 +16,13 @@ from roadsight.base.arrays import Floats, Ints, Ints32
 from roadsight.base.kernels import compiled
 from roadsight.setcover.plans.deployment import Deployment
 
+# Neighbouring targets that share a variable. With one variable for all targets the relaxation of
+# "five OS-128" on the sample site had not converged after 44 s; with one for each 100 it takes 3 s.
 BLOCK_TARGETS = 100
-"""Neighbouring targets that share a variable. With one variable for all targets the relaxation of
-"five OS-128" on the sample site had not converged after 44 s; with one for each 100 it takes 3 s.
-"""
-TARGETS_AT_ONCE = 60
-"""Most unseen targets that join at once, those that miss most."""
-FAILURES_AT_ONCE = 30
-"""Most cuts of failures that join at once, the most violated ones."""
-_VIOLATION = 1e-6
-"""What breaks a cut, as a share of its size: ten times the solver's own tolerance."""
-
-
-_USUAL = 2.0**10
-"""Coefficients between this and its inverse are taken as they are."""
+TARGETS_AT_ONCE = 60  # most unseen targets that join at once, those that miss most
+FAILURES_AT_ONCE = 30  # most cuts of failures that join at once, the most violated ones
+_VIOLATION = 1e-6  # what breaks a cut, as a share of its size: ten times the solver's own tolerance
+_USUAL = 2.0**10  # coefficients between this and its inverse are taken as they are
 
 
 @dataclass(frozen=True)
@@ -77,9 +70,15 @@ class Cuts:
     def violated(self, x: Floats, value: Floats) -> list[Cut]:
         """Cuts that shares of choices (m,) and values of blocks break."""
         count = self.count(x)
-        found = self._exclusive(x)
+        crowded = np.flatnonzero(self.exclusive @ x > 1 + _VIOLATION)
+        start, index = self.exclusive.indptr, self.exclusive.indices
+        members = [np.sort(index[start[k] : start[k + 1]]).astype(np.int32) for k in crowded]
+        found = [Cut(choices, -np.ones(len(choices)), -1.0) for choices in members]
         if self.deployment.complete:
-            found += self._unseen(count)
+            missing = self.need - count
+            bad = np.flatnonzero(missing > _VIOLATION)
+            bad = bad[np.argsort(-missing[bad], kind="stable")[:TARGETS_AT_ONCE]]
+            found += [self._target(int(t)) for t in bad]
         else:
             found += self._coverage(count, value)
         if self.deployment.keep:
@@ -103,22 +102,10 @@ class Cuts:
             found += [self._target(int(t)) for t in np.sort(rare)]
         return found
 
-    def _exclusive(self, x: Floats) -> list[Cut]:
-        crowded = np.flatnonzero(self.exclusive @ x > 1 + _VIOLATION)
-        start, index = self.exclusive.indptr, self.exclusive.indices
-        members = [np.sort(index[start[k] : start[k + 1]]).astype(np.int32) for k in crowded]
-        return [Cut(choices, -np.ones(len(choices)), -1.0) for choices in members]
-
     def _target(self, target: int) -> Cut:
         start = self.by_target.indptr
         choices = self.by_target.indices[start[target] : start[target + 1]].astype(np.int32)
         return Cut(choices, np.ones(len(choices)), float(self.need[target]))
-
-    def _unseen(self, count: Floats) -> list[Cut]:
-        missing = self.need - count
-        bad = np.flatnonzero(missing > _VIOLATION)
-        bad = bad[np.argsort(-missing[bad], kind="stable")[:TARGETS_AT_ONCE]]
-        return [self._target(int(t)) for t in bad]
 
     def _coverage(self, count: Floats, value: Floats) -> list[Cut]:
         part = np.minimum(count, self.need) * self.share

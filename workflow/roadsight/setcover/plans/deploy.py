@@ -19,6 +19,7 @@ from roadsight.setcover.common.problem import (
     WITHIN_GAP,
     Cover,
     CoverProblem,
+    infeasible,
     is_within,
     relative_gap,
 )
@@ -29,13 +30,11 @@ from roadsight.setcover.plans.deployment import ROUNDED, Deployment
 from roadsight.setcover.plans.tree import Master, Tree
 from roadsight.setcover.plans.whole import any_allowed
 
-_STEPS = 2_000
-"""Trials of the greedy search between two covers that are not proven."""
-_FAR_APART = 2.0**20
-"""Ratio of costs beyond which dear choices are looked for."""
+_STEPS = 2_000  # trials of the greedy search between two covers that are not proven
+_FAR_APART = 2.0**20  # ratio of costs beyond which dear choices are looked for
+# The cover without further conditions, which bounds the answer, has one of so many shares of the
+# work.
 _COVER_SHARES = 3
-"""The cover without further conditions, which bounds the answer, has one of so many shares of the
-work."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ def solve_deployment(
     """
     start = time.process_time()
     if deployment.out_of_reach:
-        return Deployed(_infeasible(start), [])
+        return Deployed(infeasible(start), [])
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     deployment, unit, _ = _affordable(deployment).normalised()
     builder = Builder(Cuts(deployment), np.random.default_rng(seed))
@@ -80,7 +79,7 @@ def solve_deployment(
     if deployment.complete:
         floor = _by_cover(deployment, builder, deadline, seed, gap)
         if math.isinf(floor):
-            return Deployed(_infeasible(start), [])
+            return Deployed(infeasible(start), [])
     for chosen in starts:
         builder.offer(chosen)
         builder.build(chosen)
@@ -88,11 +87,12 @@ def solve_deployment(
     proof, nodes, pool = floor, 0, pool or []
     if floor <= deployment.goal(builder.value):
         master = Master(builder.cuts, pool)
-        tree = Tree(master, builder, gap).run(floor, deadline)
-        proof, nodes, pool = tree.bound, tree.nodes, master.pool()
+        tree = Tree(master, builder, gap)
+        proof = tree.run(floor, deadline)
+        nodes, pool = tree.nodes, master.pool()
     if builder.best is None and math.isfinite(proof):
         if (allowed := any_allowed(deployment, deadline)) is None:
-            return Deployed(_infeasible(start), pool)
+            return Deployed(infeasible(start), pool)
         builder.offer(allowed)
     found = _assemble(deployment, builder, proof, nodes, start, gap)
     return Deployed(
@@ -169,17 +169,11 @@ def _affordable(deployment: Deployment) -> Deployment:
     return replace(deployment, problem=problem, cost=np.where(dear, most, cost))
 
 
-def _infeasible(start: float) -> Cover:
-    nothing = np.empty(0, np.int64)
-    seconds = time.process_time() - start
-    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds)
-
-
 def _assemble(
     deployment: Deployment, builder: Builder, bound: float, nodes: int, start: float, gap: float
 ) -> Cover:
     if builder.best is None and math.isinf(bound) and bound > 0:
-        return replace(_infeasible(start), nodes=nodes)
+        return infeasible(start, nodes=nodes)
     value = builder.value
     proven = bound > deployment.goal(value)
     bound = value if proven else min(deployment.round_up(bound), value)

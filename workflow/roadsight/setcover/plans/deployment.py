@@ -23,15 +23,11 @@ from roadsight.setcover.common.problem import (
     power_of_two,
 )
 
-_ROUNDING = 1e-12
-"""Share of a budget that sums of charges may exceed it by: they are rounded."""
-
-ROUNDED = 2.0**-43
-"""Share of its terms by which an objective may be rounded."""
-
+_ROUNDING = 1e-12  # share of a budget that sums of charges may exceed it by: they are rounded
+ROUNDED = 2.0**-43  # share of its terms by which an objective may be rounded
+# Common steps of the objective that are smaller, as a share of its largest term, do not count:
+# rounding bounds up to them would hardly help.
 _LEAST_STEP = 1e-3
-"""Common steps of the objective that are smaller, as a share of its largest term, do not count:
-rounding bounds up to them would hardly help."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +84,6 @@ class Deployment:
             raise InputError("is no share", where="keep", found=self.keep, allowed="0 to 1")
         if not (math.isfinite(self.worth) and self.worth >= 0):
             raise InputError("is not usable", where="price", found=self.worth, allowed="0 or more")
-
-    def with_budget(self, budget: float) -> Deployment:
-        """The same with another budget."""
-        return replace(self, budget=budget)
 
     @cached_property
     def total(self) -> float:
@@ -227,8 +219,13 @@ class Deployment:
             return math.inf
         value = self.guaranteed(chosen)
         least = max(self.total, self.floor) if self.complete else self.floor
-        if value < least * (1 - 1e-9) or (self.complete and self._unseen(chosen)):
+        if value < least * (1 - 1e-9):
             return math.inf
+        if self.complete:
+            need, matrix = self.problem.at_least, self.problem.matrix
+            count = count_of_rows(matrix.indptr, matrix.indices, chosen, len(need))
+            if (count < need).any():
+                return math.inf
         return math.fsum(self.cost[chosen]) - self.worth * value
 
     def broken(self, chosen: Ints) -> bool:
@@ -242,12 +239,6 @@ class Deployment:
             return True
         return bool((self.exclusive @ mask > 1).any())
 
-    def _unseen(self, chosen: Ints) -> bool:
-        need = self.problem.at_least
-        matrix = self.problem.matrix
-        count = count_of_rows(matrix.indptr, matrix.indices, chosen, len(need))
-        return bool((count < need).any())
-
 
 def _numbers(name: str, values: ArrayLike | None, length: int, default: Floats) -> Floats:
     array = default if values is None else np.asarray(values, np.float64)
@@ -259,9 +250,6 @@ def _numbers(name: str, values: ArrayLike | None, length: int, default: Floats) 
             allowed=f"finite, shape ({length},)",
         )
     return array.astype(np.float64)
-
-
-# Choices that stand too near each other, as few sets of which at most one is taken.
 
 
 def spacing_cliques(xy_m: Floats, spacing_m: float) -> tuple[Ints, ...]:
@@ -278,24 +266,18 @@ def spacing_cliques(xy_m: Floats, spacing_m: float) -> tuple[Ints, ...]:
     member = member.reshape(-1)
     order = np.argsort(member, kind="stable")
     choices_at = np.split(order, np.cumsum(np.bincount(member, minlength=len(places)))[:-1])
-    near = _neighbours(places, spacing_m)
+    # Places nearer than the spacing to each; exactly the spacing is far enough.
+    near: list[set[int]] = [set() for _ in range(len(places))]
+    if len(places) > 1:
+        pairs = cKDTree(places).query_pairs(spacing_m, output_type="ndarray")
+        length_m = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+        for a, b in pairs[length_m < spacing_m * (1 - 1e-9)].tolist():
+            near[a].add(b)
+            near[b].add(a)
     cliques = _edge_cliques(near)
     lonely = [{p} for p in range(len(places)) if not near[p] and len(choices_at[p]) > 1]
     sets = [*cliques, *lonely]
     return tuple(np.sort(np.concatenate([choices_at[p] for p in sorted(s)])) for s in sets)
-
-
-def _neighbours(places: Floats, spacing_m: float) -> list[set[int]]:
-    """Places nearer than the spacing to each; exactly the spacing is far enough."""
-    near: list[set[int]] = [set() for _ in range(len(places))]
-    if len(places) < 2:
-        return near
-    pairs = cKDTree(places).query_pairs(spacing_m, output_type="ndarray")
-    length_m = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    for a, b in pairs[length_m < spacing_m * (1 - 1e-9)].tolist():
-        near[a].add(b)
-        near[b].add(a)
-    return near
 
 
 def _edge_cliques(near: list[set[int]]) -> list[set[int]]:
@@ -309,13 +291,12 @@ def _edge_cliques(near: list[set[int]]) -> list[set[int]]:
             clique, common = {a, b}, near[a] & near[b]
             while common:
                 # The member that holds most edges that are still open, the first of equals.
-                best = max(sorted(common), key=lambda c: _open_edges(c, clique, done))
+                best = max(
+                    sorted(common),
+                    key=lambda c: sum((min(c, p), max(c, p)) not in done for p in clique),
+                )
                 clique.add(best)
                 common = common & near[best]
             done |= {(p, q) for p in clique for q in clique if p < q}
             cliques.append(clique)
     return cliques
-
-
-def _open_edges(place: int, clique: set[int], done: set[tuple[int, int]]) -> int:
-    return sum((min(place, c), max(place, c)) not in done for c in clique)

@@ -32,33 +32,20 @@ from roadsight.setcover.common.problem import (
 )
 from roadsight.setcover.common.relaxation import quiet_highs
 
+# Sets of choices of which an answer needs one more; none where the sorted choices will do.
 Oracle = Callable[[Ints], list[Ints]]
-"""Sets of choices of which an answer needs one more; none where the sorted choices will do."""
+_FIRST = 250  # targets to begin with, those that have the least to spare
+_ADDED = 80  # most targets that join after a round, those that lack most
 
-_FIRST = 250
-"""Targets to begin with, those that have the least to spare."""
-
-_ADDED = 80
-"""Most targets that join after a round, those that lack most."""
-
-# Covers in which several choices together must give each target enough: what is asked.
-
-TOLERANCE = 1e-7
-"""Share of a need that may be missing."""
-
+TOLERANCE = 1e-7  # share of a need that may be missing
+# Tolerance of the solver. Sums that it lets pass must pass here as well, or it would be asked the
+# same again.
 _SOLVED_TO = TOLERANCE / 100
-"""Tolerance of the solver. Sums that it lets pass must pass here as well, or it would be asked the
-same again."""
-
-_NODES_PER_S = 40
-"""Nodes of a solver's tree in a second of the limit, about."""
-
-_NODES_OF_ROUND = 10
-"""Nodes that a round costs at least: setting it up and its root take time as well."""
-
+_NODES_PER_S = 40  # nodes of a solver's tree in a second of the limit, about
+_NODES_OF_ROUND = 10  # nodes that a round costs at least: its set-up and its root take time
+# The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
+# busy a machine is.
 _CLOCK_FACTOR = 20
-"""The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
-busy a machine is."""
 
 
 def solve_joint(
@@ -109,27 +96,28 @@ class _Joint:
             chosen, bound, status = self._solve()
             if status == highspy.HighsModelStatus.kInfeasible:
                 return self._result(INFEASIBLE if self.best is None else OPTIMAL)
-            self.bound = max(self.bound, min(self._up(bound), self._cost(self.best)))
+            if self.whole and math.isfinite(bound):
+                bound = math.ceil(bound - 1e-6)
+            self.bound = max(self.bound, min(bound, self._cost(self.best)))
             if chosen is not None:
-                violated = self._violated(chosen)
+                # What the answer breaks is added.
+                short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
+                worst = np.argsort(-short / self.problem.need, kind="stable")
+                worst = worst[(short[worst] > 0) & ~self.active[worst]][:_ADDED]
+                self.active[worst] = True
+                found = [] if len(worst) else self.oracle(chosen)
+                self.cuts += found
+                violated = bool(len(worst) or found)
                 self._offer(chosen)
-            if self._proven():
+            best = self._cost(self.best)
+            room = 1e-6 * (1.0 if self.whole else best)
+            if math.isfinite(best) and self.bound >= best - room:
                 return self._result(OPTIMAL)
-            if is_within(self.gap, self._cost(self.best), self.bound):
+            if is_within(self.gap, best, self.bound):
                 return self._result(WITHIN_GAP)
             late = self.nodes_left <= 0 or time.perf_counter() > self.end
             if late or chosen is None or not violated:
                 return self._result(TIME_LIMIT)
-
-    def _violated(self, chosen: Ints) -> bool:
-        """Add what an answer breaks; False where it breaks nothing."""
-        short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
-        worst = np.argsort(-short / self.problem.need, kind="stable")
-        worst = worst[(short[worst] > 0) & ~self.active[worst]][:_ADDED]
-        self.active[worst] = True
-        found = [] if len(worst) else self.oracle(chosen)
-        self.cuts += found
-        return bool(len(worst) or found)
 
     def _solve(self) -> tuple[Ints | None, float, highspy.HighsModelStatus]:
         """Answer, bound and status of the constraints of the moment."""
@@ -199,9 +187,17 @@ class _Joint:
         given = problem.given(chosen)
         while True:
             lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
-            helps = self._help(np.array(taken, np.int64), lack)
-            if helps is None:
-                break
+            short = np.flatnonzero(lack > 0)
+            if len(short):  # what each choice adds
+                part = problem.gain[:, short].copy()
+                part.data = np.minimum(part.data, lack[short][part.indices])
+                helps = np.asarray(part @ (1 / problem.need[short])).ravel()
+            else:
+                found = self.oracle(np.sort(np.array(taken, np.int64)))
+                if not found:
+                    break
+                self.cuts += found
+                helps = np.bincount(np.concatenate(found), minlength=len(problem.costs))
             helps = helps / problem.costs
             helps[np.isin(problem.groups, problem.groups[taken])] = 0.0
             choice = int(np.argmax(helps))
@@ -216,28 +212,8 @@ class _Joint:
                 taken = fewer.tolist()
         return np.array(sorted(taken), np.int64)
 
-    def _help(self, taken: Ints, lack: Floats) -> Floats | None:
-        """What each choice adds (choices,); None where nothing lacks."""
-        short = np.flatnonzero(lack > 0)
-        if len(short):
-            part = self.problem.gain[:, short].copy()
-            part.data = np.minimum(part.data, lack[short][part.indices])
-            return np.asarray(part @ (1 / self.problem.need[short])).ravel()
-        found = self.oracle(np.sort(taken))
-        if not found:
-            return None
-        self.cuts += found
-        return np.bincount(np.concatenate(found), minlength=len(self.problem.costs)).astype(float)
-
     def _cost(self, taken: Ints | None) -> float:
         return math.inf if taken is None else math.fsum(self.problem.costs[taken])
-
-    def _up(self, bound: float) -> float:
-        return math.ceil(bound - 1e-6) if self.whole and math.isfinite(bound) else bound
-
-    def _proven(self) -> bool:
-        best = self._cost(self.best)
-        return math.isfinite(best) and self.bound >= best - 1e-6 * (1.0 if self.whole else best)
 
     def _result(self, status: str) -> Cover:
         best = self._cost(self.best)

@@ -2,7 +2,7 @@
 
 The covers that share all but r choices with the best one are looked at exhaustively, for r = 1, 2,
 3 and so on, and from 1 again after each find. With nothing shared, that is the proof. Where work
-runs out before, a Lagrangian bound says how much more there could be at most (`second_bounds`).
+runs out before, a Lagrangian bound says how much more there could be at most (`seen_at_most`).
 
 Weights are in any unit of the caller's (the workflow's are 1 for each target), costs in another.
 """
@@ -32,27 +32,15 @@ from roadsight.setcover.common.relaxation import Node, Relaxation
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.second_kernels import LEVELS, Rules, complete_covers
 
+# Work by entry that the search adds or removes, in seconds: the middle of 6 to 9.5 on the cases of
+# `second_kernels`.
 _ENTRY_S = 7.5e-9
-"""Work by entry that the search adds or removes, in seconds: the middle of 6 to 9.5 on the cases of
-`second_kernels`."""
-
-_ATTEMPT_S = 3e-5
-"""Work of calling the search for some shared choices, in seconds, measured there."""
-
-_SET_S = 2e-7
-"""Work of putting a set of choices in its place by what each pair of it has in common, measured."""
-
-_SETUP_S = 1.5e-8
-"""Work of laying out the problem by entry of its matrix, in seconds, measured there."""
-
-_SORTED = 20_000
-"""Up to so many sets of choices are sorted by what they have in common: those find more."""
-
-_TOLERANCE = 1e-9
-"""Share of a sum by which two are alike."""
-
-_CHEAPER = 1e-7
-"""Share of its cost that a cover must save to be cheaper: as far as costs are proven."""
+_ATTEMPT_S = 3e-5  # work of calling the search for some shared choices, in seconds, measured there
+_SET_S = 2e-7  # work of sorting a set of choices by what its pairs have in common, measured
+_SETUP_S = 1.5e-8  # work of laying out the problem by entry, in seconds, measured there
+_SORTED = 20_000  # so many sets of choices are sorted by what they have in common: those find more
+_TOLERANCE = 1e-9  # share of a sum by which two are alike
+_CHEAPER = 1e-7  # share of its cost that a cheaper cover must save: as far as costs are proven
 
 
 @dataclass(frozen=True)
@@ -109,6 +97,9 @@ def second_objective(
     proven = search.run()
     value = search.best[:LEVELS].copy()
     bound = float(value[0]) if proven else max(min(bound, deployment.total), float(value[0]))
+    bound, weights = unit * bound, unit * np.asarray(deployment.weights)
+    if (weights == np.round(weights)).all():
+        bound = math.floor(bound + 1e-6)
     return Second(
         np.flatnonzero(search.cover).astype(np.int64),
         unit * value,
@@ -116,7 +107,7 @@ def second_objective(
         unit * deployment.total,
         int(search.best[2]),
         int(before[2]),
-        _floored(unit * bound, unit * np.asarray(deployment.weights)),
+        bound,
         proven,
     )
 
@@ -189,7 +180,11 @@ class _Search:
         while True:
             free = np.flatnonzero(self.cover & ~self._must)
             if apart < len(free):
-                answer = self._neighbourhood(free, apart)
+                answer: bool | None = False
+                cover = self.cover
+                for out in self._together(free, apart):
+                    if (answer := self._try(out, cover)) is not False:
+                        break
             else:
                 money = self._money
                 answer = self._try(np.empty(0, np.int64), self._must)
@@ -198,15 +193,6 @@ class _Search:
             if answer is None:
                 return False
             apart = 1 if answer else apart + 1
-
-    def _neighbourhood(self, free: Ints, apart: int) -> bool | None:
-        """Whether a better cover was found that shares all but so many; None: out of work."""
-        cover = self.cover
-        for out in self._together(free, apart):
-            answer = self._try(out, cover)
-            if answer is not False:
-                return answer
-        return False
 
     def _together(self, free: Ints, apart: int) -> Iterable[Ints]:
         """Sets (apart,) of so many choices; those first that see the most targets in common."""
@@ -292,41 +278,18 @@ def _rules(deployment: Deployment, money: float, limit: WorkLimit, stretch: Ints
     )
 
 
-def _floored(bound: float, weights: Floats) -> float:
-    """The bound in whole steps where all weights are whole."""
-    return math.floor(bound + 1e-6) if (weights == np.round(weights)).all() else bound
+# Bounds of what a cover costs, and of how much it sees again: both hold wherever the limit of work
+# stops them.
 
-
-# Bounds for the search among covers of one cost: what a cover costs, and how much it sees again.
-#
-# Both hold wherever the limit of work stops them. Costs are in one unit, weights in another.
-
-_SHARE = 4
-"""Each of the two bounds has one of so many shares of the work that is left."""
-
-_STEPS = 400
-"""Most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give."""
-
-_STEP_ENTRY_S = 1.2e-9
-"""Work of a step by entry of the matrix, in seconds, measured on the generated highway."""
-
-_STEP_CHOICE_S = 1e-7
-"""The same by choice: they are sorted."""
-
-_REPAIR_S = 2e-8
-"""Work of mending prices by entry of the matrix, in seconds, measured there."""
-
-_STALLED = 20
-"""After so many steps without a better bound, steps get shorter."""
-
-_NEAR = 0.1
-"""The first step goes for a bound lower by this share: about how far bound and covers are apart."""
-
-_SHORTER = 0.7
-"""Factor by which they do."""
-
-_TOLERANCE_SECOND_BOUNDS = 1e-9
-"""Slope (squared) below which a step leads nowhere."""
+_SHARE = 4  # each of the two bounds has one of so many shares of the work that is left
+_STEPS = 400  # most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give
+_STEP_ENTRY_S = 1.2e-9  # work of a step by entry, in seconds, measured on the generated highway
+_STEP_CHOICE_S = 1e-7  # the same by choice: they are sorted
+_REPAIR_S = 2e-8  # work of mending prices by entry of the matrix, in seconds, measured there
+_STALLED = 20  # after so many steps without a better bound, steps get shorter
+_NEAR = 0.1  # the first step goes for a bound lower by this share: about what it is apart
+_SHORTER = 0.7  # factor by which they do
+_LEAST_SLOPE = 1e-9  # slope (squared) below which a step leads nowhere
 
 
 class Most(NamedTuple):
@@ -369,29 +332,19 @@ def prices(deployment: Deployment, limit: WorkLimit) -> tuple[Floats, float]:
     points = [dual]
     free = ~problem.forbidden & ~problem.mandatory
     if not relaxed.complete:
-        points += [_lowered(dual, instance, free), _shares(instance, free)]
+        worth = by_choice @ dual
+        dear = free & (worth > cost)
+        part = np.where(dear, cost / np.where(dear, worth, 1.0), 1.0)
+        share = cost / np.maximum(np.diff(by_choice.indptr), 1)
+        least = _least(np.where(free, share, np.inf), instance)
+        points += [dual * _least(part, instance), np.where(np.isfinite(least), least, 0.0)]
         limit.spend(_REPAIR_S * by_choice.nnz)
     refunds = [float(np.minimum((cost - by_choice @ one)[free], 0.0).sum()) for one in points]
-    worth = [float(one @ need) + refund for one, refund in zip(points, refunds, strict=True)]
-    best = int(np.argmax(worth))
+    sums = [float(one @ need) + refund for one, refund in zip(points, refunds, strict=True)]
+    best = int(np.argmax(sums))
     price = np.zeros(len(asked))
     price[asked] = points[best]
     return price, refunds[best]
-
-
-def _lowered(dual: Floats, instance: Instance, free: Bools) -> Floats:
-    """Prices of which no free choice has more than it costs."""
-    worth = instance.by_choice @ dual
-    dear = free & (worth > instance.cost)
-    part = np.where(dear, instance.cost / np.where(dear, worth, 1.0), 1.0)
-    return dual * _least(part, instance)
-
-
-def _shares(instance: Instance, free: Bools) -> Floats:
-    """The least share of cost that a free choice asks of each of its targets; 0 without any."""
-    share = instance.cost / np.maximum(np.diff(instance.by_choice.indptr), 1)
-    least = _least(np.where(free, share, np.inf), instance)
-    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _least(value: Floats, instance: Instance) -> Floats:
@@ -423,7 +376,12 @@ def seen_at_most(deployment: Deployment, weight: Floats, money: float, limit: Wo
     for _ in range(steps):
         limit.spend(step_s)
         gain = np.where(allowed, by_choice @ u, 0.0)
-        share, value = _bought(gain, cost, money)
+        # What the money buys, the best gain by cost first.
+        order = np.argsort(-gain / cost, kind="stable")
+        before = np.cumsum(cost[order]) - cost[order]
+        share = np.zeros(len(cost))
+        share[order] = np.clip((money - before) / cost[order], 0.0, 1.0)
+        value = float(share @ gain)
         value += _base(u, need, weight)
         if value < best - 1e-6 * max(1.0, abs(best) if math.isfinite(best) else 1.0):
             best, best_u, stalled = value, u, 0
@@ -435,7 +393,7 @@ def seen_at_most(deployment: Deployment, weight: Floats, money: float, limit: Wo
         slope = by_target @ share - need - (u < weight)
         slope[((u <= 0) & (slope > 0)) | (need == 0)] = 0.0
         square = float((slope**2).sum())
-        if square < _TOLERANCE_SECOND_BOUNDS:
+        if square < _LEAST_SLOPE:
             break
         u = np.maximum(u - length * _NEAR * abs(value) / square * slope, 0.0)
     gain = np.where(allowed, by_choice @ best_u, 0.0)
@@ -446,12 +404,3 @@ def seen_at_most(deployment: Deployment, weight: Floats, money: float, limit: Wo
 
 def _base(u: Floats, need: Ints, weight: Floats) -> float:
     return float(np.maximum(weight - u, 0.0).sum() - (u * need).sum())
-
-
-def _bought(gain: Floats, cost: Floats, money: float) -> tuple[Floats, float]:
-    """Share of each choice that is bought, the best gain by cost first, and what they gain."""
-    order = np.argsort(-gain / cost, kind="stable")
-    before = np.cumsum(cost[order]) - cost[order]
-    share = np.zeros(len(cost))
-    share[order] = np.clip((money - before) / cost[order], 0.0, 1.0)
-    return share, float(share @ gain)

@@ -9,21 +9,15 @@ import numpy as np
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 
-LEVELS = 2
-"""Further times that are counted: once more than asked, twice more."""
-_DIVIDED, _CLOSED = -1, -2
-"""What a node of the search is that is no leaf."""
+LEVELS = 2  # further times that are counted: once more than asked, twice more
+_DIVIDED, _CLOSED = -1, -2  # what a node of the search is that is no leaf
+# Work of a node, in entries that are added or removed. This and the next four are a fit to 12
+# cases: plans of the generated highway, and roads of 10 to 1,000 sensors that see 4 to 80 targets.
 _NODE_WORK = 150
-"""Work of a node, in entries that are added or removed. This and the next four are a fit to 12
-cases: plans of the generated highway, and roads of 10 to 1,000 sensors that see 4 to 80 targets."""
-_CHOICE_WORK = 20
-"""Work of adding or removing a choice, beside its entries."""
-_FIT_WORK = 5
-"""Work of looking whether a choice fits."""
-_LAST_WORK = 4
-"""Work of looking at a target for the last choice."""
-_READ_PER_ENTRY = 10
-"""So many numbers are read or zeroed in a row at the work of one entry."""
+_CHOICE_WORK = 20  # work of adding or removing a choice, beside its entries
+_FIT_WORK = 5  # work of looking whether a choice fits
+_LAST_WORK = 4  # work of looking at a target for the last choice
+_READ_PER_ENTRY = 10  # so many numbers are read or zeroed in a row at the work of one entry
 
 
 class Rules(NamedTuple):
@@ -84,6 +78,82 @@ class _State(NamedTuple):
     banned: Ints
     value: Floats
     work: Ints
+
+
+class _Stack(NamedTuple):
+    """By depth: place of the target that is divided, its next choice, choice taken, money left."""
+
+    place: Ints
+    turn: Ints
+    taken: Ints
+    left: Floats
+
+
+@compiled()
+def complete_covers(
+    inside: Bools,
+    money: float,
+    least_cost: float,
+    slack: float,
+    r: Rules,
+    best: Floats,
+    most_work: int,
+) -> tuple[Bools, bool, bool, int]:
+    """The best completion of some choices to a cover, if it is better than the best known.
+
+    Branches over the choices of the rarest target that is not covered; each choice is left out of
+    the branches behind it, so that no set comes up twice.
+
+    Parameters
+    ----------
+    inside : (choices,) taken for certain. money : what the others may cost.
+    least_cost : of any choice, above 0. slack : costs that differ by less are alike.
+    best : (4,) weight seen once more, twice more, stretches, what it leaves of the money; of the
+        best cover, changed in place. Where none is known, -1 each, and 0 left.
+    most_work : work after which it stops, in entries.
+
+    Returns
+    -------
+    the cover found (choices,), whether one was, whether all were looked at, work done. Where the
+    cover found leaves more of the money than the best did, not all of its cost were looked at.
+    """
+    depths = int(money / least_cost + 1e-9) + 2
+    s, k = (
+        _begin(inside, r),
+        _Stack(
+            np.zeros(depths, np.int64),
+            np.zeros(depths, np.int64),
+            np.full(depths, -1, np.int64),
+            np.full(depths, money),
+        ),
+    )
+    cover, is_found = inside.copy(), False
+    found = np.empty(len(r.cost), np.int64)
+    depth = 0
+    while depth >= 0:
+        if s.work[0] > most_work:
+            return cover, is_found, False, s.work[0]
+        last = _enter(depth, least_cost, best, r, s, k, found)
+        if last >= 0:
+            # A leaf: nothing is missing (last = 0), or one of the choices found.
+            for c in range(max(last, 1)):
+                j = found[c] if last else -1
+                first, second = _value_with(j, r, s)
+                spare = k.left[depth] - (r.cost[j] if j >= 0 else 0.0)
+                if _is_better(first, second, spare, slack, j, best, r, s):
+                    is_found = True
+                    for i in range(len(cover)):
+                        cover[i] = inside[i]
+                    for d in range(depth):
+                        cover[k.taken[d]] = True
+                    if j >= 0:
+                        cover[j] = True
+        if last != _DIVIDED:
+            depth = _leave(depth, r, s, k)
+        while depth >= 0 and not _next_branch(depth, r, s, k):
+            depth = _leave_divided(depth, r, s, k)
+        depth += depth >= 0
+    return cover, is_found, True, s.work[0]
 
 
 @compiled_part()
@@ -230,82 +300,6 @@ def _last_choices(first: int, money: float, r: Rules, s: _State, found: Ints) ->
             break
     s.work[0] += work
     return count
-
-
-class _Stack(NamedTuple):
-    """By depth: place of the target that is divided, its next choice, choice taken, money left."""
-
-    place: Ints
-    turn: Ints
-    taken: Ints
-    left: Floats
-
-
-@compiled()
-def complete_covers(
-    inside: Bools,
-    money: float,
-    least_cost: float,
-    slack: float,
-    r: Rules,
-    best: Floats,
-    most_work: int,
-) -> tuple[Bools, bool, bool, int]:
-    """The best completion of some choices to a cover, if it is better than the best known.
-
-    Branches over the choices of the rarest target that is not covered; each choice is left out of
-    the branches behind it, so that no set comes up twice.
-
-    Parameters
-    ----------
-    inside : (choices,) taken for certain. money : what the others may cost.
-    least_cost : of any choice, above 0. slack : costs that differ by less are alike.
-    best : (4,) weight seen once more, twice more, stretches, what it leaves of the money; of the
-        best cover, changed in place. Where none is known, -1 each, and 0 left.
-    most_work : work after which it stops, in entries.
-
-    Returns
-    -------
-    the cover found (choices,), whether one was, whether all were looked at, work done. Where the
-    cover found leaves more of the money than the best did, not all of its cost were looked at.
-    """
-    depths = int(money / least_cost + 1e-9) + 2
-    s, k = (
-        _begin(inside, r),
-        _Stack(
-            np.zeros(depths, np.int64),
-            np.zeros(depths, np.int64),
-            np.full(depths, -1, np.int64),
-            np.full(depths, money),
-        ),
-    )
-    cover, is_found = inside.copy(), False
-    found = np.empty(len(r.cost), np.int64)
-    depth = 0
-    while depth >= 0:
-        if s.work[0] > most_work:
-            return cover, is_found, False, s.work[0]
-        last = _enter(depth, least_cost, best, r, s, k, found)
-        if last >= 0:
-            # A leaf: nothing is missing (last = 0), or one of the choices found.
-            for c in range(max(last, 1)):
-                j = found[c] if last else -1
-                first, second = _value_with(j, r, s)
-                spare = k.left[depth] - (r.cost[j] if j >= 0 else 0.0)
-                if _is_better(first, second, spare, slack, j, best, r, s):
-                    is_found = True
-                    for i in range(len(cover)):
-                        cover[i] = inside[i]
-                    for d in range(depth):
-                        cover[k.taken[d]] = True
-                    if j >= 0:
-                        cover[j] = True
-        if last != _DIVIDED:
-            depth = _leave(depth, r, s, k)
-        while depth >= 0 and not _next_branch(depth, r, s, k):
-            depth = _leave_divided(depth, r, s, k)
-        depth += depth >= 0
-    return cover, is_found, True, s.work[0]
 
 
 @compiled_part()

@@ -17,7 +17,7 @@ case u_j marks targets that are seen just often enough, and lost where one of th
                 r V <= S - sum_j a_ij w_j u_j + (1 - x_i) sum_j a_ij w_j    each choice i
 
 Where all must be seen, V = S is the weight of all targets. What sums do not say (targets in sight
-together past common traffic) is no plan of this kind: `setcover.joint` asks for more as it goes.
+together past common traffic) is no plan of this kind: `joint` asks for more as it goes.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,
-    INFEASIBLE,
     OPTIMAL,
     TIME_LIMIT,
     WITHIN_GAP,
     Cover,
+    infeasible,
     relative_gap,
 )
 from roadsight.setcover.common.program import Program, run_program, version
@@ -48,12 +48,12 @@ from roadsight.setcover.plans.construct import Builder
 from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deployment import Deployment
 
+# Integer gap of the placement paper (its section 3.2): smaller ones are not asked for.
 PUBLISHED_GAP = 1e-5
-"""Integer gap of the placement paper (its section 3.2): smaller ones are not asked for."""
+# Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
+# the greatest. Of 3,000 random plans it proved two wrongly (weights 1e9 apart and more) and called
+# one impossible that is not (weights 8e7 apart).
 _FARTHEST = 1e6
-"""Most by which the greatest number may exceed the least one: the solver's tolerances are 1e-9 of
-the greatest. Of 3,000 random plans it proved two wrongly (weights 1e9 apart and more) and called
-one impossible that is not (weights 8e7 apart)."""
 
 
 class ContradictionError(Exception):
@@ -107,14 +107,14 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
         )
     nothing = np.empty(0, np.int64)
     if deployment.out_of_reach:
-        return _infeasible(start)
+        return infeasible(start, solver=HIGHS, proved_by=HIGHS)
     if deployment.complete and len(missing := uncoverable_targets(deployment.problem)):
-        return replace(_infeasible(start), uncoverable=missing)
+        return infeasible(start, uncoverable=missing, solver=HIGHS, proved_by=HIGHS)
     program, constant = whole_program(scaled)
     step = scaled.step
     found = run_program(program, deadline, max(gap, PUBLISHED_GAP), step)
     if found.x is None and math.isinf(found.bound) and found.bound > 0:
-        return _infeasible(start)
+        return infeasible(start, solver=HIGHS, proved_by=HIGHS)
     builder = Builder(Cuts(scaled), np.random.default_rng(SEED))
     if found.x is not None:
         chosen = np.flatnonzero(found.x[: len(scaled.cost)] > 0.5)
@@ -123,7 +123,7 @@ def solve_whole(deployment: Deployment, limit: Deadline | float | None, gap: flo
             builder.build(chosen)
     if builder.best is None:
         if (allowed := any_allowed(scaled, deadline)) is None:
-            return _infeasible(start)
+            return infeasible(start, solver=HIGHS, proved_by=HIGHS)
         builder.offer(allowed)
     least = max(found.bound + constant, -scaled.worth * scaled.total)
     value, bound = builder.value, scaled.round_up(least)
@@ -243,9 +243,8 @@ def whole_program(deployment: Deployment) -> tuple[Program, float]:
             least = np.asarray(lost.sum(axis=1)).ravel()
             spare = (1 - deployment.keep) * deployment.total
             tight = np.flatnonzero(least > spare)
-            excess = sparse.diags_array(least, format="csr")[tight] - spare * _eye(
-                tight, len(least)
-            )
+            eye = sparse.identity(len(least), format="csr")[tight]
+            excess = sparse.diags_array(least, format="csr")[tight] - spare * eye
             build.rows([(u, lost[tight]), (x, excess)], -np.inf, least[tight])
         return build.program(), -deployment.worth * deployment.total
     twice = (need[valued] > 1) | bool(deployment.keep)
@@ -324,13 +323,3 @@ class _Rows:
 
 def _row(values: Floats) -> sparse.csr_matrix:
     return sparse.csr_matrix(np.asarray(values, np.float64)[None])
-
-
-def _eye(rows: Ints, size: int) -> sparse.csr_matrix:
-    return sparse.identity(size, format="csr")[rows]
-
-
-def _infeasible(start: float) -> Cover:
-    nothing, seconds = np.empty(0, np.int64), time.process_time() - start
-    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds, solver=HIGHS,
-                 proved_by=HIGHS)  # fmt: skip

@@ -9,9 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-from roadsight.effects.catalogue import load_catalogue
-from roadsight.effects.circumstances import Circumstances
-from roadsight.effects.planner import plan
+from roadsight.effects.catalogue import load_catalogue, plan
+from roadsight.effects.quantities import Circumstances
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.placement.sensors.sensors import define_sensor
 from roadsight.stages.command import Command
