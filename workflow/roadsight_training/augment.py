@@ -13,8 +13,8 @@ from roadsight.poles.images.kinds import PixelClass
 from roadsight_training.pasted_panels import with_panels
 from roadsight_training.samples import DEPTH_SCALE, Sample
 
+# Weights of blue, green and red in grey (ITU-R BT.601).
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
-"""Weights of blue, green and red in grey (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)

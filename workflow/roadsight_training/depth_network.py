@@ -11,17 +11,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-_FILL_LEVELS = (1, 2, 3)
-"""Halvings of the map: blocks of 2, 4 and 8 cells."""
+_FILL_LEVELS = (1, 2, 3)  # Halvings of the map: blocks of 2, 4 and 8 cells.
+# Ranges that a cell chooses among: its own, and least and mean of 3 x 3 cells and of each block.
 _CANDIDATES = 3 + 2 * len(_FILL_LEVELS)
-"""Ranges that a cell chooses among: its own, and least and mean of 3 x 3 cells and of each
-block."""
+# Means over fewer returns a cell are none: bilinear enlarging leaves traces of them around.
 _LEAST_COUNT = 1e-3
-"""Means over fewer returns a cell are none: bilinear enlarging leaves traces of them around."""
-_LIMIT = 15.0
-"""Scores are cut here before their exponential, which single precision bears."""
-_LEAST_WEIGHT = 1e-7
-"""Divisor where no range lies around: less than the least weight, exp(-15)."""
+_LIMIT = 15.0  # Scores are cut here before their exponential, which single precision bears.
+_LEAST_WEIGHT = 1e-7  # Divisor where no range lies around: less than the least weight, exp(-15).
 
 
 class _Convolution(nn.Sequential):

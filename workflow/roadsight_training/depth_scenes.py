@@ -24,14 +24,10 @@ from roadsight_worlds.casting.terrain import height_at
 from roadsight_worlds.highway.highway import Highway, build_highway
 from roadsight_worlds.highway.mobile_scanner import scan
 
-_LENGTH_M = 80.0
-"""Of each generated highway."""
-_BESIDE_M = 0.5
-"""Sensors stand so far beside the pavement."""
-_NOISE_M = 0.01
-"""Range noise of the clouds of analytic scenes, one sigma."""
-_STOPS = 160
-"""Places that analytic scenes are scanned from."""
+_LENGTH_M = 80.0  # Of each generated highway.
+_BESIDE_M = 0.5  # Sensors stand so far beside the pavement.
+_NOISE_M = 0.01  # Range noise of the clouds of analytic scenes, one sigma.
+_STOPS = 160  # Places that analytic scenes are scanned from.
 
 
 @dataclass(frozen=True)

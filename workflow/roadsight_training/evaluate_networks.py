@@ -33,19 +33,14 @@ from roadsight_training.record import update_record
 from roadsight_training.samples import DEPTH_SCALE, Sample, read_samples
 
 log = logging.getLogger("evaluate_networks")
-
+# Limits of the distances that poles are counted by.
 _BANDS_M = (0.0, 20.0, 40.0, 60.0, 100.0, np.inf)
-"""Limits of the distances that poles are counted by."""
-_NEAR_M = 40.0
-"""Borders and markings are judged up to here."""
+_NEAR_M = 40.0  # Borders and markings are judged up to here.
+# Depths whose ratio to the truth is below this are close (the usual measure of depth networks).
 _CLOSE = 1.25
-"""Depths whose ratio to the truth is below this are close (the usual measure of depth networks)."""
-_ENOUGH_PIXELS = 50
-"""Fewer pixels give no correlation."""
-_THINNING = 20
-"""Every twentieth pixel of the road is fitted; all of them would take longer."""
-_FOOT_SHARE = 1.0 / 6.0
-"""Lowest part of a pole, whose depth counts as the pole's."""
+_ENOUGH_PIXELS = 50  # Fewer pixels give no correlation.
+_THINNING = 20  # Every twentieth pixel of the road is fitted; all of them would take longer.
+_FOOT_SHARE = 1.0 / 6.0  # Lowest part of a pole, whose depth counts as the pole's.
 
 
 def evaluate_networks(

@@ -13,8 +13,8 @@ import onnxruntime
 import torch
 from torch import nn
 
+# Version of ONNX operators that the files use; a newer one would ask for a newer runtime.
 _OPSET = 17
-"""Version of ONNX operators that the files use; a newer one would ask for a newer runtime."""
 
 
 def export_network(

@@ -16,10 +16,8 @@ from torch import nn
 from roadsight.base.seeds import SEED
 from roadsight.io.records.sources import sha256
 
-_WARM_UP = 0.05
-"""Share of the steps in which the learning rate rises."""
-_KEEP = 0.998
-"""Weight of the past in the running mean of the weights: some 500 steps."""
+_WARM_UP = 0.05  # Share of the steps in which the learning rate rises.
+_KEEP = 0.998  # Weight of the past in the running mean of the weights: some 500 steps.
 
 
 @dataclass(frozen=True)

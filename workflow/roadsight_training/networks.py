@@ -10,10 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-CLASSES = 13
-"""Number of `PixelClass`, which the network's file fixes."""
-MULTIPLE_PX = 16
-"""Both sides of the input are multiples of this."""
+CLASSES = 13  # Number of `PixelClass`, which the network's file fixes.
+MULTIPLE_PX = 16  # Both sides of the input are multiples of this.
 
 
 class _Convolution(nn.Sequential):

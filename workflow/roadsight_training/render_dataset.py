@@ -14,11 +14,9 @@ from roadsight_training.samples import Sample, write_sample
 from roadsight_worlds.rendering.rendering_training import random_training_views
 
 log = logging.getLogger("render_dataset")
-
+# Width and height of the views of even and of odd seeds: those of the sample's two cameras.
 _SIZES_PX = ((640, 416), (768, 512))
-"""Width and height of the views of even and of odd seeds: those of the sample's two cameras."""
-_SITE_LENGTH_M = 500.0
-"""Of each generated site."""
+_SITE_LENGTH_M = 500.0  # Of each generated site.
 
 
 def render_dataset(

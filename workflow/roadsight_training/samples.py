@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 
-DEPTH_SCALE = 65535.0
-"""Stored inverse depth is this over the depth in metres; 0 is the sky."""
+DEPTH_SCALE = 65535.0  # Stored inverse depth is this over the depth in metres; 0 is the sky.
 _PARTS = ("colour", "classes", "depth")
 
 

@@ -41,9 +41,7 @@ from roadsight_training.published_unet import (
 from roadsight_training.record import update_record
 
 log = logging.getLogger("train_depth_network")
-
-_LOG_EVERY = 100
-"""Steps between two lines of the log."""
+_LOG_EVERY = 100  # Steps between two lines of the log.
 
 
 def train(

@@ -31,9 +31,7 @@ from roadsight_training.restart import start_from
 from roadsight_training.samples import Sample, digest, read_samples
 
 log = logging.getLogger("train_networks")
-
-_LOG_EVERY = 50
-"""Steps between two lines of the log."""
+_LOG_EVERY = 50  # Steps between two lines of the log.
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,7 @@ def _loss_of_depth(output: Tensor, batch: Batch) -> Tensor:
     return depth_loss(output[:, 0], truth, classes)
 
 
+# Where crops for the classes are placed.
 _RARE = (
     PixelClass.POLE,
     PixelClass.MARKING,
@@ -73,8 +72,7 @@ _RARE = (
     PixelClass.BUILDING,
     PixelClass.VEHICLE,
 )
-"""Where crops for the classes are placed."""
-
+# Depth sees most of a view at once, because where the ground lies tells how far it is.
 TASKS = {
     "classes": Task(
         RoadClasses, _loss_of_classes, Crops(wanted=_RARE), 8, "road_classes.onnx", "logits"
@@ -88,7 +86,6 @@ TASKS = {
         "inverse_depth",
     ),
 }
-"""Depth sees most of a view at once, because where the ground lies tells how far it is."""
 
 
 def train(

@@ -10,16 +10,13 @@ import pandas as pd
 from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 
-YAW_DEG = 0.1
-"""Largest error of heading of a camera that counts as right."""
+YAW_DEG = 0.1  # Largest error of heading of a camera that counts as right.
+# Largest error of the road's edges across themselves of a camera that counts as right, px.
 PIXELS = 2.0
-"""Largest error of the road's edges across themselves of a camera that counts as right, px."""
+# Nearest edge points that are compared; nearer ones leap where a camera is a little off.
 NEAREST_M = 8.0
-"""Nearest edge points that are compared; nearer ones leap where a camera is a little off."""
-FARTHEST_M = 80.0
-"""Farthest edge points that are compared; those beyond crowd within few pixels."""
-_ALONG_M = 0.1
-"""Step along an edge by which its direction in the image is told."""
+FARTHEST_M = 80.0  # Farthest edge points that are compared; those beyond crowd within few pixels.
+_ALONG_M = 0.1  # Step along an edge by which its direction in the image is told.
 
 
 def camera_errors(

@@ -77,9 +77,9 @@ class Step:
 
 # Driver and split of steps that are one job a run.
 _CLOUD = ("points_m", "run")
-
 _RUN = ("runs", "run")
-
+# Steps of a site, in their order. Left out are those that generate samples, that score against
+# truth, and that only some sites ask for (effects, tilted mounts, poses, bent lenses).
 STEPS: dict[str, Step] = {
     **{name: Step("both", *_CLOUD) for name in ("ingest_cloud", "profile_scene", "build_dem")},
     **{
@@ -145,9 +145,7 @@ STEPS: dict[str, Step] = {
         for name in ("plan_effects", "summarise_site", "write_handover", "write_pdf")
     },
 }
-"""Steps of a site, in their order. Left out are those that generate samples, that score against
-truth, and that only some sites ask for (effects, tilted mounts, poses, bent lenses)."""
-
+# Folders of results and what they grow with.
 STORED: dict[str, Step] = {
     "scene": Step("both", "points_m"),
     "placement": Step("placement", "candidate_sensors"),
@@ -155,7 +153,6 @@ STORED: dict[str, Step] = {
     "poles/depth": Step("poles", "images"),
     "poles": Step("poles", "points_m"),
 }
-"""Folders of results and what they grow with."""
 
 
 @dataclass(frozen=True)

@@ -213,8 +213,7 @@ def write_costs(path: Path, content: dict[str, Any]) -> None:
 
 # What finished runs needed, read from their results, logs and benchmark files.
 
-_SIDES = ("left_path", "right_path")
-"""Columns of side views, which are images of their own."""
+_SIDES = ("left_path", "right_path")  # Columns of side views, which are images of their own.
 
 
 def read_amounts(site: Path) -> Amounts:

@@ -19,10 +19,8 @@ from roadsight.io.records.tables import read_table
 if TYPE_CHECKING:  # slow to load
     from roadsight.evidence.results import Results
 
-_MATCH_M = 3
-"""Threshold of the validation (a row of its table) at which poles count as found."""
-_STEP_M = 1.0
-"""Spacing of the places on true edges that are compared with found ones."""
+_MATCH_M = 3  # Threshold of the validation (a row of its table) at which poles count as found.
+_STEP_M = 1.0  # Spacing of the places on true edges that are compared with found ones.
 
 
 @dataclass(frozen=True)
@@ -133,18 +131,13 @@ def _of_placement(name: str) -> Callable[..., Any]:
     return partial(_placement, name)
 
 
-_EXACT = "exact truth of the generated scene"
-"""What a measure is compared with."""
-_FINEST = "the study's reference level"
-"""What a measure without a truth is compared with."""
+_EXACT = "exact truth of the generated scene"  # What a measure is compared with.
+_FINEST = "the study's reference level"  # What a measure without a truth is compared with.
 _PLAN = ("placement/{plan}/solution.json",)
+# Files, below a site's results, that measures of plans read.
 _DATA = ("placement/{plan}/data.json",)
-"""Files, below a site's results, that measures of plans read."""
-_VALIDATION = ("poles/validation.json",)
-"""Those of measures of poles."""
-_CAMERAS = ("poles/camera_scores.json",)
-"""Those of measures of cameras."""
-
+_VALIDATION = ("poles/validation.json",)  # Those of measures of poles.
+_CAMERAS = ("poles/camera_scores.json",)  # Those of measures of cameras.
 METRICS: dict[str, Metric] = {
     "dem_rmse_m": Metric(
         "Height error of the road",

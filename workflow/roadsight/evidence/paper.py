@@ -17,11 +17,11 @@ from scipy.spatial import cKDTree
 
 from roadsight.evidence import published
 
+# short: small sites, a quarter of an hour of processor time; long: as large as the studies'.
 Size = Literal["short", "long"]
-"""short: small sites, a quarter of an hour of processor time; long: as large as the studies'."""
+# What `roadsight.stages.evidence.measure_paper` wrote, by run.
 Measured = Mapping[str, Mapping[str, Any]]
-"""What `roadsight.stages.evidence.measure_paper` wrote, by run."""
-
+# Of ``paper.csv``.
 COLUMNS = (
     "study",
     "item",
@@ -35,34 +35,29 @@ COLUMNS = (
     "cpu_s_as_published",
     "cpu_s_default",
 )
-"""Of ``paper.csv``."""
-PUBLISHED_FILE = "config/published.yaml"
-"""Settings of both studies."""
-
+PUBLISHED_FILE = "config/published.yaml"  # Settings of both studies.
+# Generated roads that stand for those of the placement study (its Table 2).
 PLACEMENT_SITES = {"site_1": "Site 1", "site_2": "Site 2", "site_3": "Site 3"}
-"""Generated roads that stand for those of the placement study (its Table 2)."""
-POLE_SITE = "route"
-"""Generated road that stands for the route of the pole study."""
+POLE_SITE = "route"  # Generated road that stands for the route of the pole study.
+# Deployment plans of the placement study (section 3.3); as published with Table 5's sensors.
 PLANS = ("vlp-16", "puck-32c", "puck-32c-or-os-32", "os-32", "os-64", "os-128")
-"""Deployment plans of the placement study (section 3.3); as published with Table 5's sensors."""
+# Site on which the U-Net is deployed; the study shows the same site (Fig. 20a).
 NETWORK_SITE = "site_2"
-"""Site on which the U-Net is deployed; the study shows the same site (Fig. 20a)."""
 NETWORK_PLANS = ("os-64", "os-128")
 NETWORKS = {"unet": "U-Net, end to end", "unet_mask": "U-Net, mask and interpolation"}
 HEIGHTS_PX = (256, 512, 1024)
 VOXELS_FT = (3, 5, 10)
 _FOOT_M = 0.3048
 _MILE_KM = 1.609344
-
 _FEWER_CANDIDATES = {"candidates": {"spacing_m": 20, "height_step_m": 6}, "coverage": {"rounds": 1}}
+# A depth map by network takes seconds, so that only a few candidates have one.
 _FEWEST_CANDIDATES = {
     "candidates": {"spacing_m": 40, "height_step_m": 6},
     "coverage": {"rounds": 0},
 }
-"""A depth map by network takes seconds, so that only a few candidates have one."""
 _FEW_IMAGES = {"videolog": {"every": 4}}
+# The pole study's cloud comes with its ground classified; the pillar rule is the other study's.
 _CLASSIFIED = {"ground": {"method": "robust"}}
-"""The pole study's cloud comes with its ground classified; the pillar rule is the other study's."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +127,7 @@ def runs(size: Size) -> dict[str, Run]:
     return found
 
 
-NATIVE_PX = 416
-"""Height of the generated images."""
+NATIVE_PX = 416  # Height of the generated images.
 
 
 def _table5(plans: Iterable[str]) -> tuple[str, ...]:

@@ -23,12 +23,10 @@ from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import room_for, shape_of
 from roadsight.placement.sight.sight import beams_wanted
 
-_MAPS = 6
-"""Depth maps that are compared with exact ones; more would take longer to cast."""
-_STEP_M = 1.0
-"""Spacing of the places on the road where heights and coverage are compared."""
+_MAPS = 6  # Depth maps that are compared with exact ones; more would take longer to cast.
+_STEP_M = 1.0  # Spacing of the places on the road where heights and coverage are compared.
+# A target stands on the road when it is no farther above or below it: bridges clear 4 m.
 _SAME_SURFACE_M = 1.0
-"""A target stands on the road when it is no farther above or below it: bridges clear 4 m."""
 
 
 def dem_rmse_m(results: Results) -> float:

@@ -17,15 +17,9 @@ from roadsight.config.schema import Config, Settings
 from roadsight.evidence.metrics import METRICS
 from roadsight.io.records.sources import stage_module
 
-NAMED = "configuration"
-"""Knob of a study whose levels are whole configuration files."""
-
-PLAN = "plan"
-"""Knob of a study whose levels are plans; empty: the site's own."""
-
-WHOLE_JOB = "all"
-"""Stage of a measure whose cost is that of all steps of the job."""
-
+NAMED = "configuration"  # Knob of a study whose levels are whole configuration files.
+PLAN = "plan"  # Knob of a study whose levels are plans; empty: the site's own.
+WHOLE_JOB = "all"  # Stage of a measure whose cost is that of all steps of the job.
 _Value = int | float | str
 _Levels = Annotated[dict[str, _Value | list[float]], Field(min_length=2)]
 Job = Literal["placement", "poles"]

@@ -11,6 +11,7 @@ from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import WHOLE_JOB, Measure, Study
 from roadsight.evidence.variants import JobRecord
 
+# Rules that make the generated sites or score results: no user's job has them.
 NOT_OF_THE_JOB = frozenset(
     (
         "generate_sample",
@@ -21,14 +22,10 @@ NOT_OF_THE_JOB = frozenset(
         "validate_poles",
     )
 )
-"""Rules that make the generated sites or score results: no user's job has them."""
-
+# A level is clearly cheaper than another when it needs this share less processor time, ...
 TIMING_NOISE = 0.1
-"""A level is clearly cheaper than another when it needs this share less processor time, ..."""
-
+# ... and more than so many seconds less: that is what starting a process varies by.
 TIMING_NOISE_S = 0.3
-"""... and more than so many seconds less: that is what starting a process varies by."""
-
 COLUMNS = (
     "job",
     "stage",

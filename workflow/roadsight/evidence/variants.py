@@ -26,21 +26,14 @@ from roadsight.io.records.run_records import last_usage
 from roadsight.io.records.sources import package_digest
 
 log = logging.getLogger(__name__)
-
+# A variant runs in a folder of its own and has to find this package.
 _PACKAGE = Path(__file__).resolve().parents[2]
-"""A variant runs in a folder of its own and has to find this package."""
-
-_CONFIG = "variant.json"
-"""The variant's configuration in its folder."""
-
+_CONFIG = "variant.json"  # The variant's configuration in its folder.
+# Log of a job that failed, as Snakemake's output names it.
 _LOG = re.compile(r"^ +log: (\S+)", re.MULTILINE)
-"""Log of a job that failed, as Snakemake's output names it."""
-
-_MESSAGE = "roadsight: "
-"""Begins the line by which a stage tells its own message."""
-
+_MESSAGE = "roadsight: "  # Begins the line by which a stage tells its own message.
+# Begin of a job in Snakemake's output.
 _JOB = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$", re.MULTILINE)
-"""Begin of a job in Snakemake's output."""
 
 
 class VariantError(InputError):
@@ -230,11 +223,10 @@ def _environment() -> dict[str, str]:
 
 # A work folder that shares a finished site's files with another one, which it cannot change.
 
+# What a mirror has of its own; everything else of the project is linked.
 _OWN = {"results", "logs", ".snakemake", ".git"}
-"""What a mirror has of its own; everything else of the project is linked."""
-
+# What Snakemake knows of outputs: without it, all of them would be stale.
 _METADATA = Path(".snakemake/metadata")
-"""What Snakemake knows of outputs: without it, all of them would be stale."""
 
 
 def mirror_site(base: Path, folder: Path, site: str) -> None:

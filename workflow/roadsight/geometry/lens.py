@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
+# Most steps of Newton's method. Bisection alone, to which it falls back, needs some 53 for all the
+# bits of a double.
 _STEPS = 60
-"""Most steps of Newton's method. Bisection alone, to which it falls back, needs some 53 for all the
-bits of a double."""
+# Pinhole distance over the distance shown, at most, where the image never turns back: there the
+# lens shows a place at more than 4/9 of its pinhole distance, so that the bracket needs 9/4.
 _WIDEST = 2.5
-"""Pinhole distance over the distance shown, at most, where the image never turns back: there the
-lens shows a place at more than 4/9 of its pinhole distance, so that the bracket needs 9/4."""
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,17 @@ from pyproj.exceptions import CRSError, ProjError
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, unit_name, with_linear_unit
 
+# How far outside a CRS's area of use a cloud may lie: areas on record are drawn by borders of
+# countries and states, which roads cross. A wrong zone or unit is off by more.
 _AREA_TOLERANCE_DEG = 1.0
-"""How far outside a CRS's area of use a cloud may lie: areas on record are drawn by borders of
-countries and states, which roads cross. A wrong zone or unit is off by more."""
+# Scale of a grid against the ground, less 1: UTM and state plane systems stay far below, Web
+# Mercator away from the equator does not.
 _LARGEST_SCALE_ERROR = 0.01
-"""Scale of a grid against the ground, less 1: UTM and state plane systems stay far below, Web
-Mercator away from the equator does not."""
+# Longest side of a site: beyond it, a stray point or a wrong unit is likelier than a road.
 _LARGEST_EXTENT_M = 100_000.0
-"""Longest side of a site: beyond it, a stray point or a wrong unit is likelier than a road."""
+# Least confidence, per cent, at which PROJ's match for a datum counts. Its lowest grade, a similar
+# name, is enough for an area of use, which only has to tell continents and states apart.
 _GEODETIC_CONFIDENCE = 25
-"""Least confidence, per cent, at which PROJ's match for a datum counts. Its lowest grade, a similar
-name, is enough for an area of use, which only has to tell continents and states apart."""
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,8 @@ from roadsight.geometry.crs import (
 )
 
 _COMPOUND = re.compile(r"\s*(COMPD_CS|COMPOUNDCRS)\s*\[", re.IGNORECASE)
-
 _HORIZONTAL = ("PROJCS", "GEOGCS", "PROJCRS", "PROJECTEDCRS", "GEOGCRS", "GEODCRS", "BOUNDCRS")
-
 _UNREADABLE = "its WKT record cannot be read"
-
 _WKT_1, _WKT_2, _KEYS = "its WKT record", "its WKT 2 record (4224)", "its GeoTIFF keys"
 
 
@@ -199,36 +196,22 @@ def compound_parts(text: str) -> list[str]:
 #
 # Numbers and meanings of keys are those of OGC 19-008r4 (GeoTIFF 1.1), which LAS refers to.
 
-Keys = Mapping[int, int | float | str]
-"""Value of each key: a short integer, a double or a text."""
-
+Keys = Mapping[int, int | float | str]  # Value of each key: a short integer, a double or a text.
 _USER_DEFINED = 32767
-
 _EPSG_UNITS = {9001: "metre", 9002: "foot", 9003: "us-survey-foot"}
-
 _MODEL, _CITATION = 1024, 1026
-
 _GEOGRAPHIC, _DATUM, _SPHEROID, _AXIS_A, _AXIS_B, _FLATTENING = 2048, 2050, 2056, 2057, 2058, 2059
-
 _PROJECTED, _PROJECTED_CITATION, _PROJECTION, _METHOD = 3072, 3073, 3074, 3075
-
 _LINEAR_UNIT, _LINEAR_UNIT_M = 3076, 3077
-
 _VERTICAL_CRS, _VERTICAL_UNIT = 4096, 4099
-
 _MODELS = {1: "projected", 2: "geographic", 3: "geocentric"}
-
+# Before the WKT of a CRS of its own, which ArcGIS puts into the citation.
 _ESRI_TEXT = "ESRI PE String ="
-"""Before the WKT of a CRS of its own, which ArcGIS puts into the citation."""
-
 _LATITUDE, _LONGITUDE = (3081, 3085, 3089), (3080, 3084, 3088, 3095)
-
 _EASTING, _NORTHING = (3082, 3086, 3090), (3083, 3087, 3091)
-
 _SCALE, _PARALLEL_1, _PARALLEL_2, _AZIMUTH = (3092, 3093), (3078,), (3079,), (3094,)
-
 _RECTIFIED = (3096,)
-
+# Method of PROJ and its parameters by keys, by number of the method (ProjMethodGeoKey).
 _METHODS: dict[int, tuple[str, dict[str, tuple[int, ...]]]] = {
     1: ("tmerc", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE, "k_0": _SCALE}),
     3: (
@@ -255,12 +238,8 @@ _METHODS: dict[int, tuple[str, dict[str, tuple[int, ...]]]] = {
     16: ("sterea", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE, "k_0": _SCALE}),
     18: ("cass", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE}),
 }
-"""Method of PROJ and its parameters by keys, by number of the method (ProjMethodGeoKey)."""
-
 _METHODS[2] = _METHODS[1]
-
-_OPTIONAL = ("gamma", "k_0")
-"""Parameters that may be left to their usual value."""
+_OPTIONAL = ("gamma", "k_0")  # Parameters that may be left to their usual value.
 
 
 def from_geo_keys(keys: Keys) -> StatedCrs:

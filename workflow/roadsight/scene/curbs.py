@@ -17,28 +17,19 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 
-_MARGIN_M = 30.0
-"""How far curbs are followed straight on beyond both ends of the track."""
-
+_MARGIN_M = 30.0  # How far curbs are followed straight on beyond both ends of the track.
+# Points no higher above the lowest one of their cell are of the surface: more than a scanner's
+# noise, less than most of what stands on it.
 _SHELL_M = 0.10
-"""Points no higher above the lowest one of their cell are of the surface: more than a scanner's
-noise, less than most of what stands on it."""
-
-_FEWEST = 2
-"""Points in the window along the line that a height needs."""
-
+_FEWEST = 2  # Points in the window along the line that a height needs.
+# Cells this near to the track are the road, from whose height it is told what stands up.
 _LANE_M = 1.5
-"""Cells this near to the track are the road, from whose height it is told what stands up."""
-
+# What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step.
 _MOST_SLOPE_M = 0.05
-"""What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step."""
-
+# What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
+# of 120 cells it stays below that.
 _NEARER = 0.006
-"""What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
-of 120 cells it stays below that."""
-
-_ASIDE_CELLS = 3
-"""How far aside a curb may go from one station to the next."""
+_ASIDE_CELLS = 3  # How far aside a curb may go from one station to the next.
 
 
 @dataclass(frozen=True)

@@ -18,30 +18,19 @@ from numpy.typing import ArrayLike, NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from roadsight.base.sections.poles import RoadEdges
 
+# Probability that a disc on the road is empty by chance, at most; it sets the closing radius.
 _MISSED_HOLES = 1e-4
-"""Probability that a disc on the road is empty by chance, at most; it sets the closing radius."""
-
+# Cells; a larger radius would round off corners and join carriageways of very sparse clouds.
 _LARGEST_CLOSING = 6
-"""Cells; a larger radius would round off corners and join carriageways of very sparse clouds."""
-
-_ROWS = 16
-"""Rows whose labels are counted together: a copy of few labels, not of all."""
-
+_ROWS = 16  # Rows whose labels are counted together: a copy of few labels, not of all.
+# Rows and columns of the blocks in which levels and distances are computed: what a block takes is
+# used again, while memory of the whole view would be touched for the first time.
 _BLOCK = 256
-"""Rows and columns of the blocks in which levels and distances are computed: what a block takes is
-used again, while memory of the whole view would be touched for the first time."""
-
-_LABELS_BLOCK = 4096
-"""The same for labels of components, which need wide surroundings."""
-
-_SHORTEST_M = 3.0
-"""Shorter pieces of edge are dropped."""
-
-BORDER_CELLS = 1.5
-"""Edge points this near to what was not surveyed are ends of the data."""
-
+_LABELS_BLOCK = 4096  # The same for labels of components, which need wide surroundings.
+_SHORTEST_M = 3.0  # Shorter pieces of edge are dropped.
+BORDER_CELLS = 1.5  # Edge points this near to what was not surveyed are ends of the data.
+# Places of an outline worked on together: their samples stay in the processor's cache.
 _BATCH = 1_000
-"""Places of an outline worked on together: their samples stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -365,8 +354,8 @@ def _span(first: int, size: int, halo: int, end: int) -> tuple[slice, slice, sli
 #
 # NumPy alone: the filters of larger libraries take longer to load than to run.
 
+# Half width of a Gaussian window in standard deviations, as SciPy cuts it; 6e-5 lies outside.
 _DEVIATIONS = 4.0
-"""Half width of a Gaussian window in standard deviations, as SciPy cuts it; 6e-5 lies outside."""
 
 
 def smoothed(ring: Floats, sigma: float) -> Floats:

@@ -14,32 +14,24 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
 
-_CORNER_DEG = 60.0
-"""An outline is split where it turns by more than this."""
-
+_CORNER_DEG = 60.0  # An outline is split where it turns by more than this.
+# Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
+# outline turn as far. In an old town 57 % of the surveyed edges are met within 1 m with legs of 6
+# or 9 m and 53 % with 3 m, in a street elsewhere 54, 55 and 47 %.
 _LEG_KNOTS = 2
-"""Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
-outline turn as far. In an old town 57 % of the surveyed edges are met within 1 m with legs of 6 or
-9 m and 53 % with 3 m, in a street elsewhere 54, 55 and 47 %."""
-
+# So far inside its outline a pavement is as wide as it looks, whatever the outline's steps: beside
+# a row of parked cars these are as deep as a car is wide. With 1 m, 59.4 instead of 60.5 % of the
+# surveyed edges of an old town are met within 1 m, and 56 instead of 63 % in a street elsewhere.
 _INSIDE_M = 2.0
-"""So far inside its outline a pavement is as wide as it looks, whatever the outline's steps: beside
-a row of parked cars these are as deep as a car is wide. With 1 m, 59.4 instead of 60.5 % of the
-surveyed edges of an old town are met within 1 m, and 56 instead of 63 % in a street elsewhere."""
-
+# Where a road is cut, the way on along it is so many times as long as the cut, and as the way
+# across elsewhere.
 _LONGER = 2.5
-"""Where a road is cut, the way on along it is so many times as long as the cut, and as the way
-across elsewhere."""
-
-_OPEN_STRIP_M = 3.0
-"""Width of the strips beside the outline in which ground points are compared."""
-
+_OPEN_STRIP_M = 3.0  # Width of the strips beside the outline in which ground points are compared.
+# A real edge shows at least this step in height (a kerb, a ditch) at the end of a road.
 _STEP_M = 0.08
-"""A real edge shows at least this step in height (a kerb, a ditch) at the end of a road."""
-
+# How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
+# is in another CRS.
 FURTHEST_M = 50.0
-"""How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
-is in another CRS."""
 
 
 def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, Floats]:

@@ -27,27 +27,16 @@ from roadsight.scene.voxel_planes import (
 )
 
 _COARSEST_M = 0.8  # sparse parts get voxels up to this edge, or two doublings
-
 _MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
-
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
-
 _HOLE_POINTS = 5  # points around an empty voxel that carry a plane
-
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
-
 _FLATTER = 0.35  # times that for each doubling, or twigs and wires pass for sparse surfaces
-
 _WIDE = 0.25  # variance along both axes of a wide surface, squared voxel edges
-
 _NEAR = 0.05  # points this near to a plane are on it, whatever its spread, voxel edges
-
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
-
 _OVERLAP = 0.1  # surfels extend this far beyond their cell, finest voxel edges
-
 _MERGE = 0.2  # merged patches depart this far from their parts, finest voxel edges
-
 _LONE_HALF = 0.25  # half edge of the crossed squares of a lone voxel, voxel edges
 
 
@@ -430,19 +419,16 @@ def in_company(
 # Here the scene is divided into blocks, and each block gets voxels about as large as the spacing
 # of its own points.
 
+# Blocks are 2**6 of the finest voxels wide (6.4 m of 0.1 m): some thousand points of a mobile
+# cloud, some hundred of an airborne one, and finer than density changes along a road.
 _BLOCK_DOUBLINGS = 6
-"""Blocks are 2**6 of the finest voxels wide (6.4 m of 0.1 m): some thousand points of a mobile
-cloud, some hundred of an airborne one, and finer than density changes along a road."""
-
+# Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface.
 _MOST_DOUBLINGS = 5
-"""Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface."""
-
+# A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
+# ones would string them up as wires.
 _FEWEST_POINTS = 12
-"""A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
-ones would string them up as wires."""
-
+# Blocks around those of a size that its surfels may draw on; they reach a few voxels at most.
 _MARGIN_BLOCKS = 1
-"""Blocks around those of a size that its surfels may draw on; they reach a few voxels at most."""
 
 
 def build_local_surfels(voxels: VoxelMoments) -> Surfels:

@@ -18,20 +18,12 @@ from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.kernels import compiled, compiled_part
 
-_BITS = 21
-"""Bits of an index in a key: three of them fill the 63 bits that the sign leaves."""
-
-_HALF = 1 << (_BITS - 1)
-"""What is added to an index, so that it is not negative."""
-
-_MASK = (1 << _BITS) - 1
-"""The bits of one index."""
-
+_BITS = 21  # Bits of an index in a key: three of them fill the 63 bits that the sign leaves.
+_HALF = 1 << (_BITS - 1)  # What is added to an index, so that it is not negative.
+_MASK = (1 << _BITS) - 1  # The bits of one index.
 # What a step to the next voxel along an axis adds to a key.
 X_STEP = 1 << (2 * _BITS)
-
 Y_STEP = 1 << _BITS
-
 Z_STEP = 1
 
 
@@ -176,8 +168,8 @@ def _shifted(moments: Floats32, shift: NDArray[np.floating]) -> Floats32:
 
 # Planes through the points of voxel neighbourhoods, from moments alone.
 
+# Points of a 2 x 2 x 2 corner that carry a plane of its own: two more than define one.
 _BLOCK_POINTS = 5
-"""Points of a 2 x 2 x 2 corner that carry a plane of its own: two more than define one."""
 
 
 class Planes(NamedTuple):

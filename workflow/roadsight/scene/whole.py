@@ -38,11 +38,10 @@ from roadsight.scene.profile import count_cells, density, plan_spacing_m, uses_i
 from roadsight.scene.terrain.ground_settings import ground_settings_for
 from roadsight.scene.terrain.terrain import Bounds, TerrainModel, coarse_of_tiles, label_ground
 
+# A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
+# gigabytes.
 _LARGEST_TILE_M = 500.0
-"""A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
-gigabytes."""
-_THINNED_M = 0.2
-"""Columns of which the lowest point tells the surface of a road."""
+_THINNED_M = 0.2  # Columns of which the lowest point tells the surface of a road.
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -144,12 +143,9 @@ def near_ground(xyz_m: Floats, settings: GroundFilter | None = None) -> Bools:
     return (rise > -allowed) & (rise < allowed + _lift_m(xyz_m, rise))
 
 
-_LAYER_M = 0.6
-"""Points up to this above the coarse ground are asked for the middle of its layer."""
-_MOST_LIFT_M = 0.25
-"""Layers that are thicker are no ground (roughest_m), or low plants."""
-_THIN_M = 0.03
-"""A layer of exact scans lies so far above its lowest points."""
+_LAYER_M = 0.6  # Points up to this above the coarse ground are asked for the middle of its layer.
+_MOST_LIFT_M = 0.25  # Layers that are thicker are no ground (roughest_m), or low plants.
+_THIN_M = 0.03  # A layer of exact scans lies so far above its lowest points.
 
 
 def _lift_m(xyz_m: Floats, rise_m: Floats) -> float:
@@ -187,11 +183,9 @@ class FoundRoad:
     surface_m: Floats
 
 
-_ROAD_CLASSES = (11, 17)
-"""Road surface, and bridge deck, which no coarse ground knows of."""
+_ROAD_CLASSES = (11, 17)  # Road surface, and bridge deck, which no coarse ground knows of.
 _WATER = 9
-NEVER_CLASSES = (7, _WATER, 18)
-"""Low noise, water, high noise."""
+NEVER_CLASSES = (7, _WATER, 18)  # Low noise, water, high noise.
 
 
 def road_of(
@@ -231,15 +225,15 @@ def road_of(
     return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
 
 
+# Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
+# too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903.
 _CORE_M = 1.5
-"""Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
-too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903."""
+# What lies farther from the smooth ground is not looked at: wider than a shoulder and a verge.
 _AROUND_M = 15.0
-"""What lies farther from the smooth ground is not looked at: wider than a shoulder and a verge."""
+# Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked.
 _LEAST_WITHIN = 0.9
-"""Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked."""
+# Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road.
 _LEAST_KEPT = 0.7
-"""Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road."""
 
 
 @dataclass(frozen=True)

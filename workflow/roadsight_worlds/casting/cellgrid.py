@@ -13,12 +13,11 @@ from roadsight_worlds.casting.alignment import to_plan
 from roadsight_worlds.casting.primitives import Bodies, body_extent_m
 from roadsight_worlds.casting.terrain import CellBounds, Terrain, cell_bounds
 
+# The grid is so much wider than what it holds, so that nothing lies on its border by rounding.
 _PAD_M = 1e-4
-"""The grid is so much wider than what it holds, so that nothing lies on its border by rounding."""
+# Cells of a grid; a larger scene gets larger cells, so that memory stays bounded.
 _MAX_CELLS = 1 << 20
-"""Cells of a grid; a larger scene gets larger cells, so that memory stays bounded."""
-BLOCK = 8
-"""Cells along the side of a block, which a ray above or below all of it skips at once."""
+BLOCK = 8  # Cells along the side of a block, which a ray above or below all of it skips at once.
 
 
 class CellGrid(NamedTuple):

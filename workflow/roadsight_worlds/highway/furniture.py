@@ -8,22 +8,15 @@ from roadsight_worlds.casting.materials import TruthClass
 from roadsight_worlds.highway.highway_ground import WING_M, CrossSection
 from roadsight_worlds.highway.roadside import Roadside
 
-_WALL_INNER_M = 12.5
-"""Offset of the inner face of the tunnel's outer walls."""
-_WALL_OUTER_M = 13.5
-"""Offset of their outer face."""
-_CLEARANCE_M = 6.6
-"""Height of the tunnel's ceiling above the road."""
+_WALL_INNER_M = 12.5  # Offset of the inner face of the tunnel's outer walls.
+_WALL_OUTER_M = 13.5  # Offset of their outer face.
+_CLEARANCE_M = 6.6  # Height of the tunnel's ceiling above the road.
+# Top of the portal wall above the road: it holds back the hill (`HILL_HEIGHT_M`).
 _PORTAL_TOP_M = 9.0
-"""Top of the portal wall above the road: it holds back the hill (`HILL_HEIGHT_M`)."""
-_RAIL_OFFSET_M = 12.35
-"""Offset of guard rails, in front of poles and signs."""
-_POST_OFFSET_M = 12.95
-"""Offset of lamps, signs and the gantry's post."""
-BUILDING_SHARE = 0.42
-"""Place of the hut along the open road; plants keep off it."""
-BUILDING_OFFSET_M = -36.0
-"""Its offset; below 0 is right of the road."""
+_RAIL_OFFSET_M = 12.35  # Offset of guard rails, in front of poles and signs.
+_POST_OFFSET_M = 12.95  # Offset of lamps, signs and the gantry's post.
+BUILDING_SHARE = 0.42  # Place of the hut along the open road; plants keep off it.
+BUILDING_OFFSET_M = -36.0  # Its offset; below 0 is right of the road.
 
 
 def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: float) -> None:
@@ -44,12 +37,10 @@ def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: f
     add_building(road, BUILDING_SHARE * open_m)
 
 
+# Height of the wires above the road: between the lowest and the highest place of a sensor.
 _WIRE_M = 8.0
-"""Height of the wires above the road: between the lowest and the highest place of a sensor."""
-_CANOPY_M = 5.2
-"""Height of the canopy's underside above the road."""
-_BEAM_M = 6.2
-"""Height of the gantry's beam above the road."""
+_CANOPY_M = 5.2  # Height of the canopy's underside above the road.
+_BEAM_M = 6.2  # Height of the gantry's beam above the road.
 
 
 def add_overhead(road: Roadside, open_m: float) -> None:

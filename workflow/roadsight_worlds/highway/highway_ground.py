@@ -12,22 +12,16 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight_worlds.casting.alignment import Alignment
 from roadsight_worlds.casting.terrain import Terrain
 
-_STATION_STEP_M = 0.4
-"""Nodes of the bumps along the road."""
+_STATION_STEP_M = 0.4  # Nodes of the bumps along the road.
+# Nodes of the bumps across the road, denser, so that those of the verge do not touch the pavement.
 _OFFSET_STEP_M = 0.2
-"""Nodes of the bumps across the road, denser, so that those of the verge do not touch the
-pavement."""
-_COARSE_STEP_M = 3.0
-"""Nodes of the slow waves of the land beside the road."""
-_COARSE_SIGMA_M = 0.12
-"""Height of these waves, one sigma."""
-HALF_WIDTH_M = 45.0
-"""The ground ends so far to either side of the road."""
+_COARSE_STEP_M = 3.0  # Nodes of the slow waves of the land beside the road.
+_COARSE_SIGMA_M = 0.12  # Height of these waves, one sigma.
+HALF_WIDTH_M = 45.0  # The ground ends so far to either side of the road.
+# Top of the hill over the tunnel, above the road: above its ceiling, below the portal's top.
 HILL_HEIGHT_M = 8.2
-"""Top of the hill over the tunnel, above the road: above its ceiling, below the portal's top."""
+# Offset at which the portal's wings end; beyond them the hill begins further back and rises gently.
 WING_M = 24.0
-"""Offset at which the portal's wings end; beyond them the hill begins further back and rises
-gently."""
 
 
 @dataclass(frozen=True)

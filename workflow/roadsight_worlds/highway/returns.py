@@ -11,12 +11,11 @@ from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight_worlds.casting.materials import MATERIAL_NAMES, MATERIALS, TruthClass
 from roadsight_worlds.highway.highway import Highway
 
+# By row of `MATERIAL_NAMES`.
 _REFLECTANCE = np.array([MATERIALS[name].reflectance for name in MATERIAL_NAMES])
-"""By row of `MATERIAL_NAMES`."""
+# By row of `MATERIAL_NAMES`.
 _ROUGHNESS_M = np.array([MATERIALS[name].roughness_m for name in MATERIAL_NAMES])
-"""By row of `MATERIAL_NAMES`."""
-_HALF_SIGNAL_M = 30.0
-"""Range at which intensity has fallen to half."""
+_HALF_SIGNAL_M = 30.0  # Range at which intensity has fallen to half.
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,10 @@ from roadsight_worlds.casting.scene import Scene
 from roadsight_worlds.casting.terrain import height_at
 from roadsight_worlds.highway.highway import Highway, build_highway
 
-_LINE_STEP_M = 0.5
-"""Chords that edges are drawn by."""
+_LINE_STEP_M = 0.5  # Chords that edges are drawn by.
+# Least and greatest distance between the points that a person would click on an edge.
 _CLICK_SPACING_M = (15.0, 25.0)
-"""Least and greatest distance between the points that a person would click on an edge."""
-_CLICK_SIGMA_M = 0.05
-"""How far a person clicks beside the edge, one sigma."""
+_CLICK_SIGMA_M = 0.05  # How far a person clicks beside the edge, one sigma.
 
 
 def sample_scene(seed: int, length_m: float) -> Scene:

@@ -9,12 +9,9 @@ from roadsight_worlds.casting.materials import TruthClass
 from roadsight_worlds.highway.furniture import BUILDING_OFFSET_M, BUILDING_SHARE
 from roadsight_worlds.highway.roadside import Roadside
 
-_TREES_PER_M = 0.24
-"""Tried places by length of road; those too near to something else stay empty."""
-_BUSHES_PER_M = 0.36
-"""As of trees."""
-_KEEP_OFF_M = 6.0
-"""Between a tree and anything else, about the width of a crown."""
+_TREES_PER_M = 0.24  # Tried places by length of road; those too near to something else stay empty.
+_BUSHES_PER_M = 0.36  # As of trees.
+_KEEP_OFF_M = 6.0  # Between a tree and anything else, about the width of a crown.
 
 
 def add_vegetation(road: Roadside, open_m: float, rng: np.random.Generator) -> None:

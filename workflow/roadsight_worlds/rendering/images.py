@@ -23,19 +23,18 @@ from roadsight_worlds.rendering.rendering_shade import Hits, Look, shade
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_road import RuralSite
 
+# Shadows fall on what is nearer to the camera; what is further away counts as lit.
 _SHADOW_REACH_M = 120.0
-"""Shadows fall on what is nearer to the camera; what is further away counts as lit."""
+# Leaves further from the camera get `_FAR_LEAF_LIT` of the sun instead of a ray each.
 _LEAF_SHADOW_REACH_M = 60.0
-"""Leaves further from the camera get `_FAR_LEAF_LIT` of the sun instead of a ray each."""
-_FAR_LEAF_LIT = 0.8
-"""Less than all of the sun, because crowns shade themselves."""
+_FAR_LEAF_LIT = 0.8  # Less than all of the sun, because crowns shade themselves.
+# Rays to the sun start so far off the surface, or they would meet it again in single precision.
 _SHADOW_LIFT_M = 0.02
-"""Rays to the sun start so far off the surface, or they would meet it again in single precision."""
-_CHUNK_RAYS = 400_000
-"""Rays cast at once; they bound memory."""
+_CHUNK_RAYS = 400_000  # Rays cast at once; they bound memory.
+# Shifts, px, of four more rays in pixels at thin outlines, turned so that no two share a row or
+# column.
 _SUPER = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
-"""Shifts, px, of four more rays in pixels at thin outlines, turned so that no two share a row or
-column."""
+# By `Material`, and last by nothing: what is often thinner than a pixel.
 _THIN = np.array(
     [
         m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
@@ -43,10 +42,9 @@ _THIN = np.array(
     ]
     + [False]
 )
-"""By `Material`, and last by nothing: what is often thinner than a pixel."""
 _NOTHING = len(Material)
+# By `Material`: what lets some of the sun through.
 _LEAFY = np.isin(np.arange(len(Material)), (Material.LEAVES, Material.BUSH))
-"""By `Material`: what lets some of the sun through."""
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,8 @@ import numpy as np
 from roadsight_worlds.rendering.images import Finish
 from roadsight_worlds.rendering.rendering_shade import Look
 
-_SUN_BGR = np.array([0.82, 0.95, 1.06])
-"""Colour of sunlight: a little yellow."""
-_SKY_BGR = np.array([1.15, 1.0, 0.88])
-"""Colour of the light of the sky: a little blue."""
+_SUN_BGR = np.array([0.82, 0.95, 1.06])  # Colour of sunlight: a little yellow.
+_SKY_BGR = np.array([1.15, 1.0, 0.88])  # Colour of the light of the sky: a little blue.
 
 
 def random_look(rng: np.random.Generator) -> Look:

@@ -48,9 +48,7 @@ _ROOF = int(Material.ROOF)
 _PAINT = int(Material.PAINT)
 _SIGN = int(Material.SIGN_PAINT)
 _DELINEATOR = int(Material.DELINEATOR)
-_SKY = 9
-"""`PixelClass.SKY`."""
-
+_SKY = 9  # `PixelClass.SKY`.
 _PLAIN = np.zeros((len(Material), 3))
 for _material, _bgr in {
     Material.WIRE: (0.03, 0.03, 0.03),
@@ -71,12 +69,13 @@ for _material, _bgr in {
     Material.DELINEATOR: (0.75, 0.78, 0.8),
 }.items():
     _PLAIN[_material] = _bgr
+# Colours of vehicles: blue, green, red.
 _PAINTS = np.array(
     [[0.5, 0.5, 0.5], [0.03, 0.03, 0.4], [0.3, 0.12, 0.03], [0.02, 0.02, 0.02], [0.7, 0.7, 0.7]]
 )
-"""Colours of vehicles: blue, green, red."""
+# Colours of walls: blue, green, red.
 _WALLS = np.array([[0.62, 0.66, 0.68], [0.35, 0.5, 0.6], [0.5, 0.42, 0.35], [0.12, 0.16, 0.38]])
-"""Colours of walls: blue, green, red."""
+# Colours of signs: yellow, white, red, green, blue, orange, brown, lime, grey, black.
 _SIGNS = np.array(
     [
         [0.02, 0.5, 0.8],
@@ -91,7 +90,6 @@ _SIGNS = np.array(
         [0.02, 0.02, 0.02],
     ]
 )
-"""Colours of signs: yellow, white, red, green, blue, orange, brown, lime, grey, black."""
 
 
 class Look(NamedTuple):

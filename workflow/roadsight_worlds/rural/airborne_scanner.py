@@ -25,30 +25,21 @@ from roadsight_worlds.rural.rural_materials import (
 )
 from roadsight_worlds.rural.rural_surface import ground_kinds
 
-_STRIP_M = 40.0
-"""Length of the road that is scanned at once; it bounds memory."""
+_STRIP_M = 40.0  # Length of the road that is scanned at once; it bounds memory.
+# Pulses start so high above the ground that they aim at: above everything that stands on it.
 _START_ABOVE_M = 90.0
-"""Pulses start so high above the ground that they aim at: above everything that stands on it."""
-_GAP_SHARE = 0.55
-"""Share of the pulses that go on through leaves, bushes and wires after a return."""
-_GAP_M = 0.6
-"""A pulse that goes on may meet the next thing 0.3 to 2 times this behind a return."""
-_MOST_RETURNS = 4
-"""Returns of a pulse."""
-_LOW_M = 0.5
-"""Plants below this are low vegetation (class 3)."""
-_MEDIUM_M = 2.0
-"""Plants below this are medium vegetation (class 4), those above it high (class 5)."""
-_EDGE_M = 1.0
-"""Points within this distance of the pavement's edge may have the wrong class."""
-_USUAL = Sample()
-"""What a site is, unless asked for another."""
+_GAP_SHARE = 0.55  # Share of the pulses that go on through leaves, bushes and wires after a return.
+_GAP_M = 0.6  # A pulse that goes on may meet the next thing 0.3 to 2 times this behind a return.
+_MOST_RETURNS = 4  # Returns of a pulse.
+_LOW_M = 0.5  # Plants below this are low vegetation (class 3).
+_MEDIUM_M = 2.0  # Plants below this are medium vegetation (class 4), those above it high (class 5).
+_EDGE_M = 1.0  # Points within this distance of the pavement's edge may have the wrong class.
+_USUAL = Sample()  # What a site is, unless asked for another.
+# What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles 15
+# and what is left 64.
 CLASS_SCHEMES = ("usual", "none", "unclassified", "lines")
-"""What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles
-15 and what is left 64."""
 _LINE = (Material.POLE_WOOD, Material.FITTING, Material.WIRE, Material.STEEL_POST)
-_OPEN = (Material.LEAVES, Material.BUSH, Material.WIRE)
-"""What lets a part of a pulse through."""
+_OPEN = (Material.LEAVES, Material.BUSH, Material.WIRE)  # What lets a part of a pulse through.
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from roadsight_worlds.rural.rural_ground import Branch
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import raised, turned
 
-_OVERHANG_M = 0.4
-"""Of a roof over its walls."""
+_OVERHANG_M = 0.4  # Of a roof over its walls.
 
 
 def add_house(add: Furnisher, branch: Branch) -> Floats:

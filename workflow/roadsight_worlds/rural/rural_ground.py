@@ -19,17 +19,12 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Ints32
 from roadsight_worlds.rural.rural_line import RuralLine
 
-_ROW_M = 1.0
-"""Spacing of the corridor's mesh along the road."""
-_FAR_CELL_M = 14.0
-"""Cells of the land beyond the corridor."""
-_FAR_REACH_M = 800.0
-"""How far that land reaches beyond the road."""
-_CORRIDOR_M = 110.0
-"""Half width of the corridor that has an exact surface; trees stand within it."""
+_ROW_M = 1.0  # Spacing of the corridor's mesh along the road.
+_FAR_CELL_M = 14.0  # Cells of the land beyond the corridor.
+_FAR_REACH_M = 800.0  # How far that land reaches beyond the road.
+_CORRIDOR_M = 110.0  # Half width of the corridor that has an exact surface; trees stand within it.
 SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE, CAR_PARK = 0, 1, 2, 3
-LANE_M = 3.2
-"""Width of a lane."""
+LANE_M = 3.2  # Width of a lane.
 
 
 class Section(NamedTuple):

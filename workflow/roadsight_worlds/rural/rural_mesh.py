@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32
 
+# Triangles of a box, by row of `_CORNERS`.
 _BOX = np.array(
     [
         [0, 2, 1],
@@ -26,9 +27,8 @@ _BOX = np.array(
         [3, 7, 5],
     ]
 )
-"""Triangles of a box, by row of `_CORNERS`."""
+# Of a box with half edges of 1.
 _CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
-"""Of a box with half edges of 1."""
 
 
 class Mesh(NamedTuple):

@@ -11,18 +11,13 @@ from roadsight_worlds.rural.rural_furniture import Furnisher
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import raised, turned
 
-_OFFSET_M = (4.8, 9.5)
-"""From the centreline: from the shoulder to beyond the ditch."""
-_SIZE_M = (0.3, 1.4)
-"""Across a panel: from a marker's to a destination's."""
-_FOOT_M = (0.9, 2.4)
-"""Of a panel's lower edge over the ground."""
-_WIDE_M = 1.1
-"""Wider panels stand on two posts."""
+_OFFSET_M = (4.8, 9.5)  # From the centreline: from the shoulder to beyond the ditch.
+_SIZE_M = (0.3, 1.4)  # Across a panel: from a marker's to a destination's.
+_FOOT_M = (0.9, 2.4)  # Of a panel's lower edge over the ground.
+_WIDE_M = 1.1  # Wider panels stand on two posts.
+# Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles.
 _CORNERS = (3, 4, 6, 8, 16)
-"""Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles."""
-_SHEET_M = 0.006
-"""Between a panel's front and its back; its legend is as far before its front."""
+_SHEET_M = 0.006  # Between a panel's front and its back; its legend is as far before its front.
 
 
 def add_panels(add: Furnisher, per_km: float) -> None:

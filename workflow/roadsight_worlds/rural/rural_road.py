@@ -44,28 +44,20 @@ from roadsight_worlds.rural.rural_panels import add_panels
 from roadsight_worlds.rural.rural_plants import add_plants
 from roadsight_worlds.rural.rural_surface import Surface, make_surface
 
-_USUAL = RuralScene()
-"""What a rural road is, unless asked for another."""
-EPSG = 6543
-"""NAD83(2011) / North Carolina, US survey feet."""
-VERTICAL_EPSG = 6360
-"""Heights in US survey feet above NAVD88."""
-US_FOOT_M = 1200.0 / 3937.0
-"""By its definition."""
-ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)
-"""Easting, northing and height of the local origin."""
-_LEAD_M = 130.0
-"""The road goes on so far beyond both ends of the site."""
-_SHORTEST_M = 60.0
-"""Shorter roads leave no room for what stands beside them."""
+_USUAL = RuralScene()  # What a rural road is, unless asked for another.
+EPSG = 6543  # NAD83(2011) / North Carolina, US survey feet.
+VERTICAL_EPSG = 6360  # Heights in US survey feet above NAVD88.
+US_FOOT_M = 1200.0 / 3937.0  # By its definition.
+ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)  # Easting, northing and height of the local origin.
+_LEAD_M = 130.0  # The road goes on so far beyond both ends of the site.
+_SHORTEST_M = 60.0  # Shorter roads leave no room for what stands beside them.
+# Stretches of a road of several lanes that have hatching, as shares of its length.
 _HATCHED = ((0.1, 0.2), (0.5, 0.62), (0.78, 0.86))
-"""Stretches of a road of several lanes that have hatching, as shares of its length."""
+# Where car parks open onto the road: share of its length, side.
 _CAR_PARKS = ((0.46, 1), (0.92, -1))
-"""Where car parks open onto the road: share of its length, side."""
+# Depth of the ditch beside flush verges: the shelf's own fall, so that there is none.
 _FLUSH_M = 0.05
-"""Depth of the ditch beside flush verges: the shelf's own fall, so that there is none."""
-_LONGEST_M = 3000.0
-"""Longer ones are refused, because the mesh grows with the length."""
+_LONGEST_M = 3000.0  # Longer ones are refused, because the mesh grows with the length.
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,10 @@ from roadsight_worlds.rural.rural_ground import SIDE_ROAD, Branch
 from roadsight_worlds.rural.rural_road import RuralSite
 from roadsight_worlds.rural.videolog_tables import pole_table
 
+# By kind of branch (`SIDE_ROAD` and so on).
 _KINDS = ("side road", "gravel driveway", "paved driveway", "car park")
-"""By kind of branch (`SIDE_ROAD` and so on)."""
-_MARGIN_M = 20.0
-"""Layers go on so far beyond both ends of the road."""
-_ARC_POINTS = 24
-"""Points of a rounded corner."""
+_MARGIN_M = 20.0  # Layers go on so far beyond both ends of the road.
+_ARC_POINTS = 24  # Points of a rounded corner.
 
 
 def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:

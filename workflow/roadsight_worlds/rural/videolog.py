@@ -25,12 +25,10 @@ from roadsight_worlds.rendering.images import Camera
 from roadsight_worlds.rural.image_names import STEPS_M, place_name, places_along
 from roadsight_worlds.rural.rural_road import RuralSite
 
-_USUAL = RuralScene()
-"""What a rural road is, unless asked for another."""
-_STITCH_OVERLAP_DEG = 1.5
-"""Side views overlap the front view by so much."""
+_USUAL = RuralScene()  # What a rural road is, unless asked for another.
+_STITCH_OVERLAP_DEG = 1.5  # Side views overlap the front view by so much.
+# From a camera's axes (right, down, ahead) to right, ahead, up.
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""From a camera's axes (right, down, ahead) to right, ahead, up."""
 
 
 @dataclass(frozen=True)

@@ -24,16 +24,13 @@ from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.scene.grids import Grid
 
-REACH_M = 5.0
-"""What lies farther from surveyed area is unknown."""
+REACH_M = 5.0  # What lies farther from surveyed area is unknown.
 _CELL_M = 0.25
 _BUILDING = 6
 _WATER = 9
 _GROUND = 2
-_CLOSING_CELLS = 3
-"""Gaps between the points of an airborne cloud of 15 points a square metre."""
-_BORDER_M = 2.0
-"""Edges this near to the cloud's border are those of the cloud."""
+_CLOSING_CELLS = 3  # Gaps between the points of an airborne cloud of 15 points a square metre.
+_BORDER_M = 2.0  # Edges this near to the cloud's border are those of the cloud.
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,9 @@ from roadsight.base.sections.scene import GroundClasses, Thinning
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
 
-BINS = 11
-"""Bins of each of the three angles."""
-
-FEATURES = 3 * BINS
-"""Numbers of a histogram."""
-
-_SAME_ANGLE = 1e-9
-"""Cosines that differ by less differ by rounding."""
+BINS = 11  # Bins of each of the three angles.
+FEATURES = 3 * BINS  # Numbers of a histogram.
+_SAME_ANGLE = 1e-9  # Cosines that differ by less differ by rounding.
 
 
 @compiled_part()
@@ -319,18 +314,15 @@ def column_means(
 
 # Two classes of ground, smooth and rough, by k-means on FPFH (paper 1, section 2.2).
 
-_ALIKE = 1e-3
-"""Per cent; histograms that differ by less differ by rounding."""
-
+_ALIKE = 1e-3  # Per cent; histograms that differ by less differ by rounding.
+# Distance of the means of two groups, in spreads of a group. The halves of one Gaussian, clipped as
+# tones are, lie 2.72 apart, up to 2.80 in samples of 4,000. Tones of the ground of Delft are 2.5
+# apart (brick streets as bright as gardens), of other towns and a suburb from the air 3.0 to 4.4.
 _TWO_TONES_APART = 2.85
-"""Distance of the means of two groups, in spreads of a group. The halves of one Gaussian, clipped
-as tones are, lie 2.72 apart, up to 2.80 in samples of 4,000. Tones of the ground of Delft are 2.5
-apart (brick streets as bright as gardens), of other towns and a suburb from the air 3.0 to 4.4."""
-
+# Robust spreads from the class's median. Delft, where tone forms no groups: recall 79 % at a
+# precision of 73 without, 76 at 81 with it, 72 at 82 with 1.25. Roughness, where tone does: woods
+# beside an arterial, as dark as asphalt, are left out; a street of Amsterdam keeps its F1 (80 %).
 _OUTLIER_SPREADS = 2.0
-"""Robust spreads from the class's median. Delft, where tone forms no groups: recall 79 % at a
-precision of 73 without, 76 at 81 with it, 72 at 82 with 1.25. Roughness, where tone does: woods
-beside an arterial, as dark as asphalt, are left out; a street of Amsterdam keeps its F1 (80 %)."""
 
 
 @dataclass(frozen=True)

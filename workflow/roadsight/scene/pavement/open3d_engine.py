@@ -14,8 +14,8 @@ import numpy as np
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.engines import open3d
 
+# As in `normals.upward_normals`: a middle eigenvalue below this share of the sum is a line.
 _NO_PLANE = 1e-6
-"""As in `normals.upward_normals`: a middle eigenvalue below this share of the sum is a line."""
 
 
 def open3d_normals(xyz_m: Floats, neighbours: int) -> tuple[Floats, Floats]:

@@ -22,63 +22,36 @@ from roadsight.scene.pavement.road_surface import (
 )
 
 _WATER = 9
-
 _ROAD_CLASSES = (11, 17)
-
+# Ground, model key points, rails, road, bridge deck: what a pavement's points may be called.
 _GROUND_CLASSES = (2, 8, 10, 11, 17)
-"""Ground, model key points, rails, road, bridge deck: what a pavement's points may be called."""
-
-_UNTOLD = (0, 1, 12)
-"""Never classified, unclassified, overlap: classes that say nothing."""
-
-_MOST_WATER = 0.05
-"""Share of water among a pavement's points: a shore in the outline, not a sea."""
-
-_SEA = 0.5
-"""Mostly water is no pavement at all."""
-
+_UNTOLD = (0, 1, 12)  # Never classified, unclassified, overlap: classes that say nothing.
+_MOST_WATER = 0.05  # Share of water among a pavement's points: a shore in the outline, not a sea.
+_SEA = 0.5  # Mostly water is no pavement at all.
+# Share of points that the file calls neither ground nor road: parked cars and low plants stay under
+# a fifth of real streets.
 _MOST_OTHER = 0.3
-"""Share of points that the file calls neither ground nor road: parked cars and low plants stay
-under a fifth of real streets."""
-
-_LEAST_OWN = 0.7
-"""Share of the file's own road points on the pavement."""
-
-_MAIN_PART = 0.5
-"""Share of the area in the largest of several surfaces."""
-
-_REACH_BLOCK_M = 20.0
-"""Blocks in which the dense corridor is looked at: wider than its road."""
-
+_LEAST_OWN = 0.7  # Share of the file's own road points on the pavement.
+_MAIN_PART = 0.5  # Share of the area in the largest of several surfaces.
+_REACH_BLOCK_M = 20.0  # Blocks in which the dense corridor is looked at: wider than its road.
+# A block is dense from this share of the density that a quarter of the points have or beat.
 _DENSE = 0.25
-"""A block is dense from this share of the density that a quarter of the points have or beat."""
-
+# Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all.
 _LEAST_REACHED = 0.5
-"""Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all."""
-
+# Share of the track on the pavement: positions are a metre off, junctions are closed late.
 _LEAST_TRACK = 0.8
-"""Share of the track on the pavement: positions are a metre off, junctions are closed late."""
-
+# Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
+# streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
+# from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests.
 MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
-"""Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
-streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
-from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests."""
-
+# Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs.
 _MOST_OPEN = 0.5
-"""Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs."""
-
+# Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
+# and more, 1.4 on one with 80.
 _MOST_UNSURE = 1.0
-"""Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
-and more, 1.4 on one with 80."""
-
-LEAST_PER_M2 = 9.0
-"""Points that a target half a metre wide needs: 1.5 spacings across it."""
-
-_STRIP_M = 0.5
-"""An edge is confirmed by a step within this distance."""
-
-_STEP_M = 0.03
-"""Lowest kerb."""
+LEAST_PER_M2 = 9.0  # Points that a target half a metre wide needs: 1.5 spacings across it.
+_STRIP_M = 0.5  # An edge is confirmed by a step within this distance.
+_STEP_M = 0.03  # Lowest kerb.
 
 
 # Scans that say different things of one surface: other epochs, or registration that failed.
@@ -342,24 +315,17 @@ def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     return found
 
 
+# Cells in which scans are compared: several points of each, and little rise of the road within.
 _CELL_M = 0.5
-"""Cells in which scans are compared: several points of each, and little rise of the road within."""
-
-_FEWEST_POINTS = 3
-"""Points of a scan in a cell whose mean height counts."""
-
-_FEWEST_CELLS = 100
-"""Cells, 25 m2, that a scan must share with others before it is compared."""
-
+_FEWEST_POINTS = 3  # Points of a scan in a cell whose mean height counts.
+_FEWEST_CELLS = 100  # Cells, 25 m2, that a scan must share with others before it is compared.
+# Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
+# and by over this on up to 2 %. Thinner layers of asphalt are not told from registration.
 _LEAST_APART_M = 0.1
-"""Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
-and by over this on up to 2 %. Thinner layers of asphalt are not told from registration."""
-
+# Means of three points differ by so many spreads of one point by chance once in 10^6 cells.
 _SPREADS = 4.0
-"""Means of three points differ by so many spreads of one point by chance once in 10^6 cells."""
-
+# Share of cells on which scans differ: parked cars that left, and edges of kerbs.
 _MOST_CHANGED = 0.05
-"""Share of cells on which scans differ: parked cars that left, and edges of kerbs."""
 
 
 def _middles(cell: Ints, height_m: Floats) -> Floats:

@@ -244,12 +244,9 @@ def road_points(surface: RoadSurface, xyz_m: Floats, settings: RoadSettings) -> 
     return surface.road.ravel()[cell] & (off < allowed)
 
 
-SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)
-"""Each 1.6 times the last; 0.3 to 2 m at the finest cell."""
-_NEAR_M = 0.6
-"""A cell this near to a point is measured if its plane is known."""
-_STEP_WINDOW_M = 3.0
-"""The slope of the street around a kerb: the median of a lane's width."""
+SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)  # Each 1.6 times the last; 0.3 to 2 m at the finest cell.
+_NEAR_M = 0.6  # A cell this near to a point is measured if its plane is known.
+_STEP_WINDOW_M = 3.0  # The slope of the street around a kerb: the median of a lane's width.
 
 
 def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettings) -> _Ground:
@@ -330,12 +327,9 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     return grown
 
 
-_MOST_ROUNDS = 5
-"""What was shut may have hidden another way round: a street needs two rounds."""
-_PARTED_M = 2.0
-"""Growth ends up to 1 m before a step from either side."""
-_LEAST_PARTED_M = 3.0
-"""Shorter stretches beside a surface are corners of a gap."""
+_MOST_ROUNDS = 5  # What was shut may have hidden another way round: a street needs two rounds.
+_PARTED_M = 2.0  # Growth ends up to 1 m before a step from either side.
+_LEAST_PARTED_M = 3.0  # Shorter stretches beside a surface are corners of a gap.
 
 
 def _parted(ground: _Ground, grown: Bools, joined: Bools, settings: RoadSettings) -> Bools:
@@ -401,11 +395,11 @@ def _usual_spread(ground: _Ground, seed: Bools, sigma: float) -> Floats:
     return _MOST_SPREAD * np.array(usual)
 
 
+# Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
+# allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
+# five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
+# 88.6.
 _MOST_SPREAD = 2.0
-"""Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
-allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
-five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
-88.6."""
 
 
 def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSettings) -> Bools:
@@ -430,8 +424,7 @@ def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSetti
     return total
 
 
-_MOST_PARTS = 50
-"""Surfaces tried; a site of some hectares has a dozen."""
+_MOST_PARTS = 50  # Surfaces tried; a site of some hectares has a dozen.
 
 
 def _large_enough(area: Bools, fewest_cells: float) -> Bools:
@@ -473,40 +466,28 @@ def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
     return seed
 
 
-_HALF_LANE_M = 1.75
-"""Half a lane beside the driven line is lane."""
+_HALF_LANE_M = 1.75  # Half a lane beside the driven line is lane.
+# To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
+# to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed
+# a kerb; now up to 4.
 _DIRECTION_DEG = 2.0
-"""To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
-to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed a
-kerb; now up to 4."""
-_DIRECTION_M = 10.0
-"""More of a drive is a bend rather than a direction."""
-_FEWEST_POSITIONS = 3
-"""Two positions tell no scatter."""
-_LEAST_SCATTER_M = 0.02
-"""Of positions by survey receivers."""
-_MOVED_M = 0.1
-"""Positions whose first and last are nearer to each other tell no direction."""
-_AHEAD_M = 5.0
-"""The road goes on beyond the first and last position by more than a blind disc."""
+_DIRECTION_M = 10.0  # More of a drive is a bend rather than a direction.
+_FEWEST_POSITIONS = 3  # Two positions tell no scatter.
+_LEAST_SCATTER_M = 0.02  # Of positions by survey receivers.
+_MOVED_M = 0.1  # Positions whose first and last are nearer to each other tell no direction.
+_AHEAD_M = 5.0  # The road goes on beyond the first and last position by more than a blind disc.
 
 
-_FEWEST_POINTS = 100
-"""Fewer points tell no spacing."""
+_FEWEST_POINTS = 100  # Fewer points tell no spacing.
+# Points this near to what is known of the road tell its spacing: four lanes and their sides.
 _ROADSIDE_M = 25.0
-"""Points this near to what is known of the road tell its spacing: four lanes and their sides."""
-_STANDING_M = 3.0
-"""Positions are up to 0.7 m off, so that a shorter drive has no direction."""
+_STANDING_M = 3.0  # Positions are up to 0.7 m off, so that a shorter drive has no direction.
+# Flat ground so far to both sides tells a street's direction; walks beside it are not met.
 _LOOK_M = 15.0
-"""Flat ground so far to both sides tells a street's direction; walks beside it are not met."""
-_SIDE_M = 2.0
-"""The line of a vehicle that stood reaches to a lane's length beyond its blind disc."""
-_SEED_M = 1.0
-"""Ground this near to a seed is where the road is looked for first."""
-_WATER_M = 2.0
-"""Water reflects few pulses: gaps this near to its points are water."""
-_SEED_OFF_M = 3.0
-"""A seed farther from any ground lies off the cloud or in an obstacle."""
+_SIDE_M = 2.0  # The line of a vehicle that stood reaches to a lane's length beyond its blind disc.
+_SEED_M = 1.0  # Ground this near to a seed is where the road is looked for first.
+_WATER_M = 2.0  # Water reflects few pulses: gaps this near to its points are water.
+_SEED_OFF_M = 3.0  # A seed farther from any ground lies off the cloud or in an obstacle.
 
 
 def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
@@ -718,12 +699,12 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     return opened(ndimage.binary_closing(toned) & whole, 2.0) | (inner & whole), height
 
 
+# Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have.
 _OWN_POINTS = 4
-"""Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have."""
+# The growth looks at tones through windows, of which the lower third counts, and so may run on by
+# three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
+# either side without this rim, 0 to 0.07 m with it.
 _RIM_M = 0.6
-"""The growth looks at tones through windows, of which the lower third counts, and so may run on by
-three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
-either side without this rim, 0 to 0.07 m with it."""
 
 
 def _as_toned(ground: _Ground, road: Bools, settings: RoadSettings) -> Bools:

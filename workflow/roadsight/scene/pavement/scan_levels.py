@@ -16,26 +16,13 @@ from scipy import ndimage
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.scene.grids import Grid
 
-_CELL_M = 0.4
-"""Shared cells: wide enough to be hit by several scans, narrower than a kerb's strip."""
-
-_ROUNDS = 4
-"""Means and planes in turn; the planes change by less than 0.1 mm after the third."""
-
-_FLAT_M = 0.08
-"""A scan's points in one cell that spread more are not on flat ground."""
-
-_FEWEST = 100
-"""Shared cells below which a scan keeps its heights."""
-
-_BLIND_M = 4.0
-"""Widest blind disc below a turning scanner on a vehicle that is told from a shadow."""
-
-_LEAST_BLIND_M = 1.5
-"""Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees."""
-
-_NEXT_M = 10.0
-"""A vehicle is so near when it takes another scan: a third of a second at 30 m/s."""
+_CELL_M = 0.4  # Shared cells: wide enough to be hit by several scans, narrower than a kerb's strip.
+_ROUNDS = 4  # Means and planes in turn; the planes change by less than 0.1 mm after the third.
+_FLAT_M = 0.08  # A scan's points in one cell that spread more are not on flat ground.
+_FEWEST = 100  # Shared cells below which a scan keeps its heights.
+_BLIND_M = 4.0  # Widest blind disc below a turning scanner on a vehicle that is told from a shadow.
+_LEAST_BLIND_M = 1.5  # Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees.
+_NEXT_M = 10.0  # A vehicle is so near when it takes another scan: a third of a second at 30 m/s.
 
 
 def level_scans(xyz_m: Floats, scan: Ints) -> tuple[Floats, Floats]:
@@ -101,23 +88,19 @@ def _robust_plane(design: Floats, height_m: Floats) -> Floats:
     return plane
 
 
+# Scans, at even steps, that are asked for their blind disc: it tells vehicles from strips.
 _ASKED_SCANS = 40
-"""Scans, at even steps, that are asked for their blind disc: it tells vehicles from strips."""
-
+# Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
+# centimetres, a kerb and a slope of 30 % across the cell.
 _LOW_M = 0.5
-"""Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
-centimetres, a kerb and a slope of 30 % across the cell."""
-
+# Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
+# drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips.
 _DENSER = 1.1
-"""Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
-drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips."""
-
+# The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
+# strips and of whole drives that are one scan.
 _DENSEST = 0.55
-"""The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
-strips and of whole drives that are one scan."""
-
+# Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner.
 _WIDEST_CELLS = 4_000_000
-"""Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner."""
 
 
 def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str, float]:
@@ -217,59 +200,34 @@ def _with_neighbours(xy: Floats, sure: Bools, wide: Bools) -> Bools:
 # another height. All turns of a drive show that step along the same ray, usually straight behind
 # the vehicle: down the middle of the street, as high as a kerb.
 
+# Part of a ray that is looked at: from beyond the blind disc to where rings are 2 m apart.
 _NEAREST_M, _FARTHEST_M = 3.0, 25.0
-"""Part of a ray that is looked at: from beyond the blind disc to where rings are 2 m apart."""
-
-_RING_M = 1.0
-"""Length of the parts of a ray; each tells a step of its own."""
-
+_RING_M = 1.0  # Length of the parts of a ray; each tells a step of its own.
 _RINGS = round((_FARTHEST_M - _NEAREST_M) / _RING_M)
-
+# Parts that tell a turn's step by their median: a kerb crosses a ray in one or two.
 _FEWEST_RINGS = 6
-"""Parts that tell a turn's step by their median: a kerb crosses a ray in one or two."""
-
-_OFF_M = 0.8
-"""A scanner's place is known to 0.7 m, so that the ray may run so far beside it."""
-
-_STRIP_M = 0.1
-"""Width of strips along the ray, in which points are summed."""
-
+_OFF_M = 0.8  # A scanner's place is known to 0.7 m, so that the ray may run so far beside it.
+_STRIP_M = 0.1  # Width of strips along the ray, in which points are summed.
+# Strips of each of two groups on either side, which tell the slope there too: two groups are
+# narrower than a gutter is away from where a vehicle drives.
 _STRIPS = 3
-"""Strips of each of two groups on either side, which tell the slope there too: two groups are
-narrower than a gutter is away from where a vehicle drives."""
-
-_FEWEST_POINTS = 3
-"""In each group."""
-
+_FEWEST_POINTS = 3  # In each group.
 _HALF_WIDTH_M = _OFF_M + 2 * _STRIPS * _STRIP_M
-
 _ACROSS = round(2 * _HALF_WIDTH_M / _STRIP_M)
-
+# Between rays that are tried first: of a seam between two of them a group of strips holds 17 m.
 _COARSE_DEG = 2.0
-"""Between rays that are tried first: of a seam between two of them a group of strips holds 17 m."""
-
-_AROUND_DEG = 5.0
-"""Directions of travel are known so well: places 0.3 m off, on a way of 5 m."""
-
+_AROUND_DEG = 5.0  # Directions of travel are known so well: places 0.3 m off, on a way of 5 m.
+# Between rays that each turn tries around the common one: a strip's width at half the way.
 _FINE_DEG = 0.5
-"""Between rays that each turn tries around the common one: a strip's width at half the way."""
-
-_ASKED_TURNS = 40
-"""Turns, at even steps, that are asked for the common ray; 0.1 CPU s each."""
-
-_ALMOST = 0.9
-"""Rays and offsets that show so much of the highest step are averaged."""
-
+_ASKED_TURNS = 40  # Turns, at even steps, that are asked for the common ray; 0.1 CPU s each.
+_ALMOST = 0.9  # Rays and offsets that show so much of the highest step are averaged.
+# Lower steps are left, twice what counts as a step. Of five streets with ten turns each, the turns
+# of one share a step of 16 cm, straight behind the vehicle; those of the others at most 1.7 cm,
+# along any ray.
 _LEAST_STEP_M = 0.04
-"""Lower steps are left, twice what counts as a step. Of five streets with ten turns each, the turns
-of one share a step of 16 cm, straight behind the vehicle; those of the others at most 1.7 cm, along
-any ray."""
-
+# Share of the turns whose step has the median's sign and at least half of its height.
 _ALIKE_SHARE = 0.7
-"""Share of the turns whose step has the median's sign and at least half of its height."""
-
-_MOVED_M = 5.0
-"""A way that tells a direction: places are up to 0.7 m off."""
+_MOVED_M = 5.0  # A way that tells a direction: places are up to 0.7 m off.
 
 
 def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tuple[Floats, float]:

@@ -40,53 +40,45 @@ from roadsight.scene.terrain.ground_settings import (
     steady_pillars,
 )
 
+# SMRF's elevation scalar, per coarse cell: the surface is the lowest point of a cell.
 _SLOPE_SCALAR = 1.25
-"""SMRF's elevation scalar, per coarse cell: the surface is the lowest point of a cell."""
+# A usual kerb (they are 3 to 25 cm): less than this above the lowest point proves no object.
 _KERB_M = 0.15
-"""A usual kerb (they are 3 to 25 cm): less than this above the lowest point proves no object."""
+# Points from the kerb's height up to this prove an object that stands in the pillar.
 _OBJECT_TOP_M = 0.75
-"""Points from the kerb's height up to this prove an object that stands in the pillar."""
-_ENOUGH_POINTS = 10
-"""Counts per pillar beyond this say no more: a wall has thousands of points."""
+_ENOUGH_POINTS = 10  # Counts per pillar beyond this say no more: a wall has thousands of points.
+# Share of a layer's points that its noise throws beyond its end: they prove no object.
 _STRAYS = 0.02
-"""Share of a layer's points that its noise throws beyond its end: they prove no object."""
-_CLEAN_SHARE = 0.2
-"""Share of points above from which a pillar is no pattern for its neighbours."""
-_OBJECT_SHARE = 0.4
-"""Share of points above from which the narrow threshold holds alone."""
+_CLEAN_SHARE = 0.2  # Share of points above from which a pillar is no pattern for its neighbours.
+_OBJECT_SHARE = 0.4  # Share of points above from which the narrow threshold holds alone.
+# A point within so many sigmas of the ground layer is of it where an object stands.
 _NARROW_SIGMAS = 0.5
-"""A point within so many sigmas of the ground layer is of it where an object stands."""
-_NARROW_LEAST_M = 0.02
-"""... and never less: range noise of a scanner."""
-_WIDE_SIGMAS = 3.0
-"""... and elsewhere."""
-_LAYER_M = 0.25
-"""Layer above the lowest point whose spread is measured first: five sigmas of 5 cm."""
+_NARROW_LEAST_M = 0.02  # ... and never less: range noise of a scanner.
+_WIDE_SIGMAS = 3.0  # ... and elsewhere.
+_LAYER_M = 0.25  # Layer above the lowest point whose spread is measured first: five sigmas of 5 cm.
+# Roughness of a road and grass: the middle is taken of at least so thick a layer.
 _LEAST_LAYER_M = 0.1
-"""Roughness of a road and grass: the middle is taken of at least so thick a layer."""
+# Noise that fills that layer is measured once more, in one so much thicker than it seems: 8 cm seem
+# to be 6.
 _LAYER_MARGIN = 1.3
-"""Noise that fills that layer is measured once more, in one so much thicker than it seems: 8 cm
-seem to be 6."""
-_LAYER_SIGMAS = 4.0
-"""Least thickness of the layer above its lowest point."""
+_LAYER_SIGMAS = 4.0  # Least thickness of the layer above its lowest point.
+# The layer ends so far above its middle; with 40 points to a pillar the lowest lies 2.2 below.
 _ABOVE_MIDDLE_SIGMAS = 2.5
-"""The layer ends so far above its middle; with 40 points to a pillar the lowest lies 2.2 below."""
+# The bottom of a hedge is so many times as rough as the smoothest layer around; streets gain as
+# much F1 with 1.5, and lose 0.05 of it with 3.
 _HEDGE_RATIO = 2.0
-"""The bottom of a hedge is so many times as rough as the smoothest layer around; streets gain as
-much F1 with 1.5, and lose 0.05 of it with 3."""
+# ... and its spread at least this share of the height threshold, 2 cm in the finest pillars: grass
+# has less. Streets gain 0.3 of F1 with 0.15 to 0.2.
 _HEDGE_SHARE = 0.2
-"""... and its spread at least this share of the height threshold, 2 cm in the finest pillars: grass
-has less. Streets gain 0.3 of F1 with 0.15 to 0.2."""
+# In pillars wider than so many of the finest, the relief of the ground itself is as thick.
 _HEDGE_WIDTHS = 2.0
-"""In pillars wider than so many of the finest, the relief of the ground itself is as thick."""
+# Percentile of the lowest points around: below the middle, since objects are above the ground.
 _AROUND_PERCENTILE = 25
-"""Percentile of the lowest points around: below the middle, since objects are above the ground."""
+# Grass and objects only add to a spread: the low ones show the noise itself.
 _SPREAD_PERCENTILE = 15
-"""Grass and objects only add to a spread: the low ones show the noise itself."""
+# Standard errors of a spread that this percentile lies below the noise, on flat planes.
 _LOW_BY_CHANCE = 0.65
-"""Standard errors of a spread that this percentile lies below the noise, on flat planes."""
-_SPREAD_POINTS = 4
-"""Points in a pillar that can tell its spread."""
+_SPREAD_POINTS = 4  # Points in a pillar that can tell its spread.
 
 
 def ground_mask(

@@ -16,8 +16,8 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.ray_casting import RayScene
 
+# Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions.
 _UNITS_PER_M = 10_000
-"""Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions."""
 
 
 @dataclass(frozen=True)
@@ -146,17 +146,17 @@ def _ordered(triangles: Ints32, plan: Floats) -> Ints32:
 
 # What the terrain hides from a camera, by ray casting (paper 2, section 3.2.4).
 
+# Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
+# triangle.
 _LAST_SHARE = 0.9999
-"""Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
-triangle."""
 
 # How much of the road ahead the terrain hides, estimated from a height model along sight lines.
 #
 # Cheap enough to decide whether the triangulated terrain is worth building: `scene.occlusion`
 # casts exact rays at it.
 
+# Sight lines end this much above the points: they would else meet the ground that these lie on.
 TOLERANCE_M = 0.15
-"""Sight lines end this much above the points: they would else meet the ground that these lie on."""
 
 
 class TerrainSight:
@@ -245,17 +245,11 @@ def hidden_share(
     return hidden / total if total else 0.0
 
 
+# Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown.
 Height = Callable[[Floats, Floats], Floats]
-"""Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown."""
-
-_HALF_ANGLE_DEG = 45.0
-"""Road edges this far to either side of the heading are ahead of a camera."""
-
-_STEP_M = 2.0
-"""Steps along the longest sight line; crests that hide a road are longer."""
-
-_POINTS = 120
-"""Edge points looked at from each camera, about: a share needs no more."""
+_HALF_ANGLE_DEG = 45.0  # Road edges this far to either side of the heading are ahead of a camera.
+_STEP_M = 2.0  # Steps along the longest sight line; crests that hide a road are longer.
+_POINTS = 120  # Edge points looked at from each camera, about: a share needs no more.
 
 
 def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> Bools:
