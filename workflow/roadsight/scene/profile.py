@@ -253,6 +253,11 @@ def describe_scene(
     """
     per_m2 = density(cells.column, cells.row, cells.count)
     low, high = np.percentile(cells.lowest_m, [5, 95])
+    slopes = slopes_deg(cells.column * CELL_M, cells.row * CELL_M, cells.lowest_m)
+    # Level where no ground is smooth enough to tell.
+    slope, steep = np.percentile(slopes, [50, 95]) if len(slopes) else (0.0, 0.0)
+    below = np.cumsum(intensity)
+    tones = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])
     shares = {str(c): n / len(cells.count) for c, n in sorted(cells.class_cells.items())}
     return {
         "points": int(cells.count.sum()),
@@ -261,30 +266,14 @@ def describe_scene(
         "spacing_m": _median_spacing_m(distances_m),
         "extent_m": [bounds_m[i + 3] - bounds_m[i] for i in range(3)],
         "relief_m": float(high - low),
-        "slope_deg": _slopes(cells),
+        "slope_deg": {"median": float(slope), "p95": float(steep)},
         "overhead_cover_share": float(cells.covered.mean()),
         "cover_core_m2": cover_core(cells.column, cells.row, cells.covered) * CELL_M**2,
         "class_shares": shares,
         "has_intensity": int((intensity > 0).sum()) > 1,
-        "intensity": _intensities(intensity),
+        "intensity": dict(zip(("p05", "median", "p95"), map(int, tones), strict=True)),
         "has_colour": has_colour,
     }
-
-
-def _slopes(cells: Cells) -> dict[str, float]:
-    """Percentiles of the ground's slope; level where no ground is smooth enough to tell."""
-    found = slopes_deg(cells.column * CELL_M, cells.row * CELL_M, cells.lowest_m)
-    if len(found) == 0:
-        return {"median": 0.0, "p95": 0.0}
-    median, p95 = np.percentile(found, [50, 95])
-    return {"median": float(median), "p95": float(p95)}
-
-
-def _intensities(counts: Ints) -> dict[str, int]:
-    """Percentiles of the intensities from how many points have each."""
-    below = np.cumsum(counts)
-    p05, median, p95 = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])
-    return {"p05": int(p05), "median": int(median), "p95": int(p95)}
 
 
 # Slope of the ground and what covers it, from occupied cells of 1 m.

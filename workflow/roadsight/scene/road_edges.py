@@ -261,19 +261,14 @@ def without_small(mask: Bytes, least_cells: float) -> Bytes:
     halo = int(min(np.ceil(least_cells), max(mask.shape)))
     kept = np.empty_like(mask)
     for inner, outer, core in blocks(mask.shape, max(_LABELS_BLOCK, 4 * halo), halo):
-        kept[inner] = _large(mask[outer], least_cells)[core]
+        count, labels = cv2.connectedComponents(mask[outer], connectivity=4)
+        cells = np.zeros(count, np.int64)
+        for start in range(0, len(labels), _ROWS):
+            cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
+        keep = (cells >= least_cells).astype(np.uint8)
+        keep[0] = 0
+        kept[inner] = keep[labels][core]
     return kept
-
-
-def _large(mask: Bytes, least_cells: float) -> Bytes:
-    """Pixels of a mask in components of no fewer cells."""
-    count, labels = cv2.connectedComponents(mask, connectivity=4)
-    cells = np.zeros(count, np.int64)
-    for start in range(0, len(labels), _ROWS):
-        cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
-    keep = (cells >= least_cells).astype(np.uint8)
-    keep[0] = 0
-    return keep[labels]
 
 
 def _disc(radius: int) -> Bytes:
@@ -315,12 +310,12 @@ def blocks(shape: tuple[int, int], size: int, halo: int) -> Iterator[Block]:
     """Blocks of at most ``size`` rows and columns, with ``halo`` more where there are any."""
     for first_row in range(0, shape[0], size):
         for first_column in range(0, shape[1], size):
-            parts = [
-                _span(first, size, halo, end)
-                for first, end in zip((first_row, first_column), shape, strict=True)
-            ]
-            inner, outer, core = zip(*parts, strict=True)
-            yield Block(inner, outer, core)
+            parts = []
+            for first, end in zip((first_row, first_column), shape, strict=True):
+                start, last = max(first - halo, 0), min(first + size, end)
+                outer = slice(start, min(last + halo, end))
+                parts.append((slice(first, last), outer, slice(first - start, last - start)))
+            yield Block(*zip(*parts, strict=True))
 
 
 def windows_around(
@@ -339,15 +334,6 @@ def windows_around(
             low = np.maximum(pixel[own].min(axis=0) - halo, 0)
             high = pixel[own].max(axis=0) + 2 + halo  # places lie between two pixels
             yield own, (slice(low[0], high[0]), slice(low[1], high[1]))
-
-
-def _span(first: int, size: int, halo: int, end: int) -> tuple[slice, slice, slice]:
-    last, start = min(first + size, end), max(first - halo, 0)
-    return (
-        slice(first, last),
-        slice(start, min(last + halo, end)),
-        slice(first - start, last - start),
-    )
 
 
 # Closed lines: places that follow each other, and the first the last.

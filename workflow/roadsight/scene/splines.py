@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import shapely
 from scipy.interpolate import CubicSpline
-from shapely import LinearRing, LineString, MultiPolygon
+from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
@@ -103,18 +103,14 @@ def outline_edges(
         for kind, ring in rings:
             if ring.length < settings.shortest_m:
                 continue
-            knots = _knots(ring, settings.knot_spacing_m)
+            # Knots at equal steps, counter-clockwise, the first one not repeated.
+            along = ring if ring.is_ccw else shapely.reverse(ring)
+            count = max(4, round(ring.length / settings.knot_spacing_m))
+            steps = shapely.line_interpolate_point(along, np.arange(count) / count, normalized=True)
+            knots = shapely.get_coordinates(steps)
             keep = ~_open_ends(knots, outline, ground, settings)
             edges += [(kind, line) for line in _pieces(knots, keep, settings)]
     return edges
-
-
-def _knots(ring: LinearRing, spacing_m: float) -> Floats:
-    """Points at equal steps on a ring, counter-clockwise, the first one not repeated."""
-    ring = ring if ring.is_ccw else shapely.reverse(ring)
-    count = max(4, round(ring.length / spacing_m))
-    steps = np.arange(count) / count
-    return shapely.get_coordinates(shapely.line_interpolate_point(ring, steps, normalized=True))
 
 
 class _Ground(NamedTuple):
@@ -156,15 +152,14 @@ def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: 
 
 def _chords_m(outline: MultiPolygon, starts: Floats, directions: Floats) -> Floats:
     """Length of pavement met first when going from each outline point along its direction."""
-    return np.array([_chord_m(outline, *way) for way in zip(starts, directions, strict=True)])
-
-
-def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
-    """Length of pavement met first when going from an outline point along a direction."""
-    # From just inside the outline, which is not crossed at once, and farther than roads are wide.
-    ray = LineString([start + 0.05 * direction, start + 200.0 * direction])
-    parts = shapely.get_parts(shapely.intersection(ray, outline))
-    return next((p.length for p in parts if p.distance(shapely.Point(start)) < 1.0), 0.0)
+    chords = []
+    for start, way in zip(starts, directions, strict=True):
+        # From just inside the outline, which is not crossed at once, and farther than roads go.
+        ray = LineString([start + 0.05 * way, start + 200.0 * way])
+        parts = shapely.get_parts(shapely.intersection(ray, outline))
+        near = (p.length for p in parts if p.distance(shapely.Point(start)) < 1.0)
+        chords.append(next(near, 0.0))
+    return np.array(chords)
 
 
 def _strip(
@@ -181,7 +176,14 @@ def _strip(
 
 def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
     """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
-    split = ~keep | _corners(knots)
+    # Corners: the ring turns sharply there, and more than at the knots beside them.
+    back = knots - np.roll(knots, _LEG_KNOTS, axis=0)
+    ahead = np.roll(back, -_LEG_KNOTS, axis=0)
+    cross = back[:, 0] * ahead[:, 1] - back[:, 1] * ahead[:, 0]
+    turn = np.abs(np.arctan2(cross, (back * ahead).sum(axis=1)))
+    near = range(1, _LEG_KNOTS + 1)
+    before, after = (np.max([np.roll(turn, sign * k) for k in near], axis=0) for sign in (1, -1))
+    split = ~keep | ((turn > np.radians(_CORNER_DEG)) & (turn > before) & (turn >= after))
     if not split.any():
         return [LineString(np.vstack([knots, knots[:1]]))]
     first = -int(np.flatnonzero(split)[0])
@@ -195,14 +197,3 @@ def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
             run = [knot] if kept else []
     lines = [LineString(run) for run in runs if len(run) >= 2]
     return [line for line in lines if line.length >= settings.shortest_m]
-
-
-def _corners(knots: Floats) -> Bools:
-    """Knots of a ring at which it turns sharply, and more than at those beside them."""
-    back = knots - np.roll(knots, _LEG_KNOTS, axis=0)
-    on = np.roll(back, -_LEG_KNOTS, axis=0)
-    cross = back[:, 0] * on[:, 1] - back[:, 1] * on[:, 0]
-    turn = np.abs(np.arctan2(cross, (back * on).sum(axis=1)))
-    near = range(1, _LEG_KNOTS + 1)
-    before, after = (np.max([np.roll(turn, sign * k) for k in near], axis=0) for sign in (1, -1))
-    return (turn > np.radians(_CORNER_DEG)) & (turn > before) & (turn >= after)

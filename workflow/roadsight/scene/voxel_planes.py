@@ -209,22 +209,17 @@ def fit_planes(keys: Ints, voxels: VoxelMoments, min_points: int, flat_variance:
     keys : (m,) increasing; they need not be occupied.
     flat_variance : greatest variance across a plane that counts as flat, squared voxel edges.
     """
-    planes = _empty(len(keys))
+    n = len(keys)
+    normal, variance, centroid, axis = (np.zeros((n, 3), np.float32) for _ in range(4))
+    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
+    planes = Planes(normal, offset, spread, variance, centroid, axis, points, own)
     _fit(keys, voxels.keys, voxels.moments, min_points, flat_variance, planes)
     return planes
 
 
 def open_neighbours(keys: Ints, planes: Planes, voxels: VoxelMoments) -> Ints:
     """Empty voxels beside the given ones in which their planes continue; increasing keys."""
-    found = _continue_planes(keys, planes.normal, planes.offset, voxels.keys)
-    return np.unique(found)
-
-
-def _empty(n: int) -> Planes:
-    vectors = (np.zeros((n, 3), np.float32) for _ in range(4))
-    normal, variance, centroid, axis = vectors
-    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
-    return Planes(normal, offset, spread, variance, centroid, axis, points, own)
+    return np.unique(_continue_planes(keys, planes.normal, planes.offset, voxels.keys))
 
 
 @compiled_part()

@@ -222,7 +222,12 @@ def road_of(
     points = np.zeros(len(xyz_m), bool)
     points[near] = road_points(surface, xyz_m[near], settings)
     outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementOutline())
-    return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
+    # The lowest point of each column.
+    x, y, z = xyz_m[near].T
+    cell = Grid.around(x, y, _THINNED_M).flat(x, y)
+    order = np.lexsort((z, cell))
+    _, first = np.unique(cell[order], return_index=True)
+    return FoundRoad(outline, points, xyz_m[near][order[first]]), surface
 
 
 # Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
@@ -303,15 +308,6 @@ def sharpen(
     shared = shapely.intersection(road.outline, outline).area
     areas = max(road.outline.area, 1e-9), max(outline.area, 1e-9)
     return Sharpened(road, surface, *(float(shared / area) for area in areas))
-
-
-def _thinned(xyz_m: Floats) -> Floats:
-    """The lowest point of each column, of points (n, 3) near the ground."""
-    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _THINNED_M)
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    order = np.lexsort((xyz_m[:, 2], cell))
-    _, first = np.unique(cell[order], return_index=True)
-    return xyz_m[order[first]]
 
 
 def published_road(

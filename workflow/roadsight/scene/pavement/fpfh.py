@@ -276,11 +276,9 @@ def _covariances(xyz_m: Floats, neighbours: Ints) -> Floats:
 
 # Down-sampling on a grid anchored at the local origin.
 
-_USUAL_THINNING = GroundClasses().thinning
-
 
 def column_means(
-    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = _USUAL_THINNING
+    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = _USUAL
 ) -> tuple[Floats, Floats, Ints]:
     """Centroid and mean values of each occupied grid column, row by row from the south-west.
 
@@ -397,7 +395,10 @@ def fit_smoothness(
         smooth = is_smooth(plain, histograms[known], roughness, tones)
         return replace(plain, tone_range=_usual_range(tones[smooth]))
     scale = max(float(np.sqrt(shapes.var(axis=0).sum())), _ALIKE)
-    tone_mean, tone_scale = _tone_range(tones, intensity_weight)
+    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
+    varies = np.ptp(clipped) > 0
+    tone_mean = float(clipped.mean())
+    tone_scale = float(clipped.std()) / intensity_weight if varies else np.inf
     model = SmoothnessModel(
         shapes.mean(axis=0), scale, tone_mean, tone_scale, np.zeros((2, 34)), smooth=0
     )
@@ -440,13 +441,6 @@ def _usual_range(values: Floats) -> tuple[float, float]:
     spread = 1.4826 * float(np.median(np.abs(values - middle)))
     reach = _OUTLIER_SPREADS * spread if spread > 0 else np.inf
     return middle - reach, middle + reach
-
-
-def _tone_range(tones: Floats, weight: float) -> tuple[float, float]:
-    """Mean and scale of intensity between its 1st and 99th percentile; infinite if constant."""
-    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
-    scale = float(clipped.std()) / weight if np.ptp(clipped) > 0 else np.inf
-    return float(clipped.mean()), scale
 
 
 def is_smooth(

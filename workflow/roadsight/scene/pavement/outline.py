@@ -90,7 +90,12 @@ def outline_pavement(
             allowed="at least 25 %",
             hint=_HINT,
         )
-    polygons = [_trace(grid, surface[cluster == part], settings) for part in kept]
+    polygons = []
+    for part in kept:
+        filled = np.zeros(grid.shape, dtype=bool)
+        column, row = grid.indices(*surface[cluster == part, :2].T)
+        filled[row, column] = True
+        polygons.append(_polygons(grid, filled, settings))
     parts = _multi(shapely.union_all(polygons)).geoms
     outline = MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
     if outline.area < _SMALLEST_AREA_M2:
@@ -100,12 +105,7 @@ def outline_pavement(
             allowed=f"at least {_SMALLEST_AREA_M2:.0f} m2",
             hint=_HINT,
         )
-    _check_roughness(outline, xyz_m)
-    return outline
-
-
-def _check_roughness(outline: MultiPolygon, xyz_m: Floats) -> None:
-    """k-means always finds a smoother half of the ground; a road is smooth on an absolute scale."""
+    # k-means always finds a smoother half of the ground; a road is smooth on an absolute scale.
     surface = xyz_m[inside(outline, xyz_m[:, 0], xyz_m[:, 1])]
     _, neighbours = nearest_neighbours(surface, _PLANE_NEIGHBOURS)
     roughness_m = float(np.percentile(plane_residuals_m(surface, neighbours), 75))
@@ -116,6 +116,7 @@ def _check_roughness(outline: MultiPolygon, xyz_m: Floats) -> None:
             allowed=f"up to {100 * _ROUGHEST_M:.0f} cm",
             hint=_HINT,
         )
+    return outline
 
 
 # Points of the thinned surface that a place's plane goes through: the ring around it.
@@ -138,14 +139,6 @@ def vote(grid: Grid, x: Floats, y: Floats, smooth: Bools, radius_m: float) -> Bo
         ndimage.gaussian_filter(part.reshape(grid.shape), sigma).ravel() for part in (total, yes)
     )
     return (yes > 0.5 * total)[cell]
-
-
-def _trace(grid: Grid, xyz_m: Floats, settings: PavementOutline) -> Polygon | MultiPolygon:
-    """Outline of one surface given by its points."""
-    filled = np.zeros(grid.shape, dtype=bool)
-    column, row = grid.indices(xyz_m[:, 0], xyz_m[:, 1])
-    filled[row, column] = True
-    return _polygons(grid, filled, settings)
 
 
 # How far a road goes on beyond its kept cells. A cell is dropped when more than a fifth of it lies

@@ -95,7 +95,13 @@ class ScanHeights:
         cell, mean = cell.ravel(), mean[enough]
         shared = np.bincount(cell)[cell] > 1
         cell, mean, owner = cell[shared], mean[shared], keys[first][enough][shared, 2]
-        self.off_m.append(mean - _middles(cell, mean))
+        if len(cell):  # heights above the median of their cell
+            order = np.lexsort((mean, cell))
+            _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
+            ranked = mean[order]
+            middle = (ranked[first + (count - 1) // 2] + ranked[first + count // 2]) / 2
+            mean = mean - middle[np.unique(cell, return_inverse=True)[1]]
+        self.off_m.append(mean)
         self.scan.append(owner)
         self.cell.append(cell + self.cells)
         self.spread_m.append(np.sqrt(square[enough][shared]))
@@ -231,7 +237,15 @@ def pavement_doubts(
     track_xy : (k, 2). unsure_share : of the area, that hangs on the tolerance, NaN where unknown.
     """
     parts = [part.area for part in outline.geoms]
-    found = [*_of_classes(facts, method), _of_parts(parts), *epoch_doubts(facts.scans)]
+    main = max(parts) / sum(parts)
+    text = f"the pavement is in {len(parts)} surfaces; share of the largest"
+    if main < _MAIN_PART:
+        text = f"the pavement is in {len(parts)} fragments, none of which is most of it; largest"
+    held = _held("pavement_parts", text, main, _MAIN_PART, least=True)
+    if len(parts) == 1:
+        text = "the pavement is one surface, m2"
+        held = Doubt("pavement_parts", "note", text, round(parts[0]))
+    found = [*_of_classes(facts, method), held, *epoch_doubts(facts.scans)]
     reached = facts.reached(outline) if facts.blocks else 1.0
     text = "share of the densely scanned area that the pavement comes to"
     if reached < _LEAST_REACHED:
@@ -277,18 +291,6 @@ def _held(
     return Doubt(code, "doubt" if beyond else "note", text, round(value, digits), limit)
 
 
-def _of_parts(areas_m2: Sequence[float]) -> Doubt:
-    main = max(areas_m2) / sum(areas_m2)
-    if len(areas_m2) == 1:
-        return Doubt(
-            "pavement_parts", "note", "the pavement is one surface, m2", round(areas_m2[0])
-        )
-    text = f"the pavement is in {len(areas_m2)} surfaces; share of the largest"
-    if main < _MAIN_PART:
-        text = f"the pavement is in {len(areas_m2)} fragments, none of which is most of it; largest"
-    return _held("pavement_parts", text, main, _MAIN_PART, least=True)
-
-
 def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     """What the file's classes say of the pavement; nothing where it has none."""
     found = []
@@ -328,17 +330,6 @@ _SPREADS = 4.0
 _MOST_CHANGED = 0.05
 
 
-def _middles(cell: Ints, height_m: Floats) -> Floats:
-    """Median height of each one's cell (n,)."""
-    if len(cell) == 0:
-        return height_m
-    order = np.lexsort((height_m, cell))
-    _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-    ranked = height_m[order]
-    middle = (ranked[first + (count - 1) // 2] + ranked[first + count // 2]) / 2
-    return np.asarray(middle[np.unique(cell, return_inverse=True)[1]], np.float64)
-
-
 def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
     """Doubts about a pavement whose scans differ by more than their noise; none where they agree.
 
@@ -350,7 +341,9 @@ def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
     cell, spread_m = np.concatenate(heights.cell), np.concatenate(heights.spread_m)
     apart_m = max(_LEAST_APART_M, _SPREADS * float(np.median(spread_m)))
     ids, number, count = np.unique(scan, return_inverse=True, return_counts=True)
-    middle = _by_scan(number, off_m)
+    order = np.lexsort((off_m, number))
+    _, first = np.unique(number[order], return_index=True)
+    middle = off_m[order][first + count // 2]
     middle[count < _FEWEST_CELLS] = 0.0
     found = []
     if np.ptp(middle) > apart_m:
@@ -374,10 +367,3 @@ def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
         )
         found.append(Doubt("pavement_epochs", "doubt", text, round(changed, 3), _MOST_CHANGED))
     return found
-
-
-def _by_scan(number: Ints, off_m: Floats) -> Floats:
-    """Median of each scan's departures."""
-    order = np.lexsort((off_m, number))
-    _, first, count = np.unique(number[order], return_index=True, return_counts=True)
-    return np.asarray(off_m[order][first + count // 2], np.float64)

@@ -188,7 +188,9 @@ def find_road(
             allowed=f"at least {_FEWEST_POINTS}",
         )
     scan = np.zeros(len(xyz_m), np.int64) if scan is None else scan
-    places_m, sure = _scanners(xyz_m, scan)
+    places_m, sure = np.empty((0, 2)), np.empty(0, bool)  # where scanners stood, in order
+    if len(np.unique(scan)) > 1:
+        places_m, sure = scanner_positions(xyz_m, scan)
     closed_m, seam_m = close_turns(xyz_m, scan, places_m, sure)
     levelled, shifts = level_scans(np.column_stack([xyz_m[:, :2], closed_m]), scan)
     points = np.column_stack([xyz_m[:, :2], levelled])
@@ -201,9 +203,10 @@ def find_road(
     if not grown.any():
         raise InputError("no road found: no smooth ground wide enough", hint="give a track")
     road, height = _to_the_edge(ground, grown & ground.measured, settings)
-    more, less = (
-        _grow_from(ground, grown & _inner(seeds, grown), settings, factor) for factor in (1.3, 0.7)
-    )
+    if not seeds.any():  # repeated from the surface far from its edge
+        depth = ndimage.distance_transform_edt(grown)
+        seeds = depth >= 0.6 * depth.max()
+    more, less = (_grow_from(ground, grown & seeds, settings, factor) for factor in (1.3, 0.7))
     inside = ground.cells.count[road]
     layer_m = _layer_m(ground.cells, road)
     if layer_m > settings.roughest_m:
@@ -213,10 +216,11 @@ def find_road(
             allowed=f"up to {100 * settings.roughest_m:.0f} cm",
             hint="give a track, or the pavement as a polygon (placement.tma)",
         )
+    holes = ndimage.binary_fill_holes(road) & ~road
     return RoadSurface(
         grid=ground.cells.grid,
         road=road,
-        bridged=grown & ground.blank & _enclosed(road | (grown & ground.blank), road),
+        bridged=grown & ground.blank & holes,
         height_m=height,
         levelled_m=levelled,
         layer_m=layer_m,
@@ -260,7 +264,13 @@ def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettin
     # A cell without ground that is fit for a road is an obstacle, not a gap to be bridged.
     away = ndimage.distance_transform_edt(~measured) * cell_m
     blank = ~measured & (away <= settings.gap_m / 2)
-    looks = np.stack([_tone(cells), _roughness(planes, cells)], axis=-1)
+    # Looks are logarithms: of the intensity, and of the residual about the local planes.
+    there = planes.known.astype(np.float64)
+    square = ndimage.uniform_filter(np.where(planes.known, planes.residual_m**2, 0.0), 5)
+    square /= np.maximum(ndimage.uniform_filter(there, 5), 1e-6)
+    # A tenth of a millimetre: below it a surface is as flat as any.
+    rough = np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
+    looks = np.stack([_tone(cells), rough], axis=-1)
     depth = ndimage.distance_transform_edt(blank) * cell_m
     wide = ndimage.maximum_filter(depth, size=2 * round(1.0 / cell_m) + 1)
     # Along a gap the crossfall changes by about 1 %; the gap is twice as wide as it is deep.
@@ -285,15 +295,6 @@ def _tone(cells: CellMeans) -> Floats:
     tone = np.where(known, value / np.maximum(total, 1e-9), np.nan)
     lower = ndimage.percentile_filter(fill_gaps(tone), 35, size=5, mode="nearest")
     return np.where(known, lower, np.nan)
-
-
-def _roughness(planes: LocalPlanes, cells: CellMeans) -> Floats:
-    """Logarithm of the residual about the local planes; NaN where unknown."""
-    known = planes.known.astype(np.float64)
-    square = ndimage.uniform_filter(np.where(planes.known, planes.residual_m**2, 0.0), 5)
-    square /= np.maximum(ndimage.uniform_filter(known, 5), 1e-6)
-    # A tenth of a millimetre: below it a surface is as flat as any.
-    return np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
 
 
 def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
@@ -361,11 +362,18 @@ def _rim(core: Bools, way: Bools, cells: int) -> Bools:
 
 def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float) -> Bools:
     cell_m, planes = ground.cells.grid.cell_size_m, ground.planes
+    seed = seed & ground.measured
     step, sigma = factor * settings.step_m, max(settings.window_m / cell_m, 3.0)
     # A height that is itself unsure may be off by two of its errors, but never by half a kerb.
     allowed = np.minimum(np.hypot(step, 2 * planes.error_m), 1.5 * step)
+    # Spread of each look about its mean in the growth's window, in nine tenths of the seeds.
+    usual = []
+    for look in np.moveaxis(ground.looks, -1, 0):
+        known = seed & np.isfinite(look)
+        _, variance = _local_spread(look, known, sigma)
+        usual.append(np.sqrt(np.percentile(variance[known], 90)) if known.any() else np.inf)
     return grow(
-        seed & ground.measured,
+        seed,
         ground.measured | ground.blank,
         ground.blank,
         planes.height_m,
@@ -374,7 +382,7 @@ def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
         ground.looks,
         np.array([settings.tone_spreads, settings.rough_spreads]),
         np.array([settings.tone_ratio, settings.rough_ratio]),
-        _usual_spread(ground, seed & ground.measured, sigma),
+        _MOST_SPREAD * np.array(usual),
         allowed,
         ground.bridge_m,
         settings.rise * cell_m,
@@ -383,16 +391,6 @@ def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
         max(1, round(settings.narrowest_m / 2 / cell_m)),
         0.3,
     )
-
-
-def _usual_spread(ground: _Ground, seed: Bools, sigma: float) -> Floats:
-    """Spread of each look about its mean in the growth's window, in nine tenths of the seeds."""
-    usual = []
-    for look in np.moveaxis(ground.looks, -1, 0):
-        known = seed & np.isfinite(look)
-        _, variance = _local_spread(look, known, sigma)
-        usual.append(np.sqrt(np.percentile(variance[known], 90)) if known.any() else np.inf)
-    return _MOST_SPREAD * np.array(usual)
 
 
 # Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
@@ -406,12 +404,18 @@ def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSetti
     """Surface of the seeds; without a track, surfaces from ever smaller seeds as well."""
     if seeded_by != "ground":
         return _grow_from(ground, seeds, settings)
-    area = ground.cells.grid.cell_size_m**2
-    free = _smooth_ground(ground, settings)
+    cell_m = ground.cells.grid.cell_size_m
+    area = cell_m**2
+    # Ground that is flat over a lane's half width or more.
+    flat = ground.measured & (ground.step_m < 0.6 * settings.step_m)
+    free = opened(flat, max(1.0, 1.0 / cell_m)) & flat
     total = np.zeros_like(free)
     largest = 0.0
     for _ in range(_MOST_PARTS):
-        free = _large_enough(free, settings.smallest_m2 / 4 / area)
+        number, _ = ndimage.label(free)
+        large = np.bincount(number.ravel()) >= settings.smallest_m2 / 4 / area
+        large[0] = False
+        free = large[number]
         seed = _widest(ground, free, settings)
         if not seed.any():
             break
@@ -427,27 +431,12 @@ def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSetti
 _MOST_PARTS = 50  # Surfaces tried; a site of some hectares has a dozen.
 
 
-def _large_enough(area: Bools, fewest_cells: float) -> Bools:
-    """Connected parts with that many cells."""
-    label, _ = ndimage.label(area)
-    large = np.bincount(label.ravel()) >= fewest_cells
-    large[0] = False
-    return large[label]
-
-
 def opened(area: Bools, radius: float) -> Bools:
     """Opening of a raster by a disc of a radius in cells."""
     core = ndimage.distance_transform_edt(np.pad(area, 1))[1:-1, 1:-1] > radius
     if not core.any():
         return np.zeros_like(area)
     return ndimage.distance_transform_edt(~core) <= radius
-
-
-def _smooth_ground(ground: _Ground, settings: RoadSettings) -> Bools:
-    """Ground that is flat over a lane's half width or more."""
-    cell_m = ground.cells.grid.cell_size_m
-    flat = ground.measured & (ground.step_m < 0.6 * settings.step_m)
-    return opened(flat, max(1.0, 1.0 / cell_m)) & flat
 
 
 def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
@@ -510,13 +499,6 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
     return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut, shut=shut)
 
 
-def _scanners(xyz_m: Floats, scan: Ints) -> tuple[Floats, Bools]:
-    """Where scanners stood (k, 2), in order, and which of them are sure; none of a single scan."""
-    if len(np.unique(scan)) < 2:
-        return np.empty((0, 2)), np.empty(0, bool)
-    return scanner_positions(xyz_m, scan)
-
-
 def _around(xyz_m: Floats, driven: Floats, known: KnownRoad) -> Floats:
     """Points near what is known of the road; all of them where nothing is, or few are near.
 
@@ -541,7 +523,12 @@ def _seeds(
     if known.seeds_xy is not None and len(known.seeds_xy):
         found["seeds"] = _at_seeds(ground, known.seeds_xy)
     if known.road is not None and known.road.any():
-        found["classes"] = _said_road(ground, xyz_m, known.road) & flat
+        # Cells most of whose points are said to be road.
+        grid = ground.cells.grid
+        cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+        said = np.bincount(cell, known.road, minlength=grid.rows * grid.columns).reshape(grid.shape)
+        said = opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0)
+        found["classes"] = said & flat
     if known.track_xy is not None and len(known.track_xy):
         found["track"] = _along_track(ground, flat, known.track_xy)
     if known.core is not None:
@@ -605,14 +592,6 @@ def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
     return seed
 
 
-def _said_road(ground: _Ground, xyz_m: Floats, road: Bools) -> Bools:
-    """Cells (rows, columns) most of whose points are said to be road."""
-    grid = ground.cells.grid
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    said = np.bincount(cell, road, minlength=grid.rows * grid.columns).reshape(grid.shape)
-    return opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0) & ground.measured
-
-
 def _along_track(ground: _Ground, flat: Bools, track_xy: Floats) -> Bools:
     """Flat ground of the lane that a vehicle drove in."""
     line = driven_line(track_xy[:, :2])
@@ -638,7 +617,11 @@ def _before(xy_m: Floats) -> Floats:
     away_m = np.hypot(*(xy_m - xy_m[0]).T)
     near = slice(_first(away_m >= _DIRECTION_M))
     count = np.arange(1, len(xy_m[near]) + 1)
-    off_m = _scatter_m(xy_m[near]) * np.sqrt(12 / count)
+    # Scatter about a smooth drive: second differences of independent errors spread by the root of
+    # six of them, and have a median length of 1.18 of that; a corner of the drive is an outlier.
+    bend_m = np.hypot(*np.diff(xy_m[near], 2, axis=0).T)
+    spread_m = float(np.median(bend_m)) / (1.18 * np.sqrt(6)) if bend_m.size else 0.0
+    off_m = float(np.hypot(spread_m, _LEAST_SCATTER_M)) * np.sqrt(12 / count)
     told = (off_m <= np.radians(_DIRECTION_DEG) * away_m[near]) & (count >= _FEWEST_POSITIONS)
     used = xy_m[: _first(told)]
     along = np.linalg.svd(used - used.mean(axis=0), full_matrices=False)[2][0]
@@ -649,25 +632,6 @@ def _before(xy_m: Floats) -> Floats:
 def _first(fit: Bools) -> int:
     """Number of positions up to the first that is fit; all of them where none is."""
     return int(np.argmax(fit)) + 1 if fit.any() else len(fit)
-
-
-def _scatter_m(xy_m: Floats) -> float:
-    """Standard deviation of each coordinate of positions (n, 2) about a smooth drive.
-
-    Second differences of independent errors spread by the root of six of them, and have a median
-    length of 1.18 of that; a corner of the drive is an outlier.
-    """
-    bend_m = np.hypot(*np.diff(xy_m, 2, axis=0).T)
-    spread_m = float(np.median(bend_m)) / (1.18 * np.sqrt(6)) if bend_m.size else 0.0
-    return float(np.hypot(spread_m, _LEAST_SCATTER_M))
-
-
-def _inner(seeds: Bools, grown: Bools) -> Bools:
-    """Seeds to repeat a growth from: the given ones, else the surface far from its edge."""
-    if seeds.any():
-        return seeds
-    depth = ndimage.distance_transform_edt(grown)
-    return depth >= 0.6 * depth.max()
 
 
 def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[Bools, Floats]:
@@ -731,11 +695,6 @@ def _local_spread(look: Floats, known: Bools, sigma: float) -> tuple[Floats, Flo
 def _log_tone(cells: CellMeans) -> Floats:
     """Logarithm of the intensity; a tenth of the typical one keeps the darkest from blowing up."""
     return np.log(cells.intensity + 0.1 * float(np.median(cells.intensity[cells.count > 0])))
-
-
-def _enclosed(area: Bools, road: Bools) -> Bools:
-    """Cells of holes in the road: not connected to the outside without crossing it."""
-    return ndimage.binary_fill_holes(road) & ~road & area
 
 
 def _open_share(ground: _Ground, road: Bools, settings: RoadSettings) -> float:

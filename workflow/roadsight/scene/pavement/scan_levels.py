@@ -122,21 +122,16 @@ def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str,
     asked = numbers[np.unique(steps.round().astype(np.int64))]
     held_xyz, held_scan = [], []
     for xyz_m, scan in parts():
-        wanted = np.isin(scan, asked) & _is_low(xyz_m)
+        grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 1.0)
+        cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+        lowest = np.full(grid.rows * grid.columns, np.inf)
+        np.minimum.at(lowest, cell, xyz_m[:, 2])
+        wanted = np.isin(scan, asked) & (xyz_m[:, 2] - lowest[cell] < _LOW_M)
         held_xyz.append(xyz_m[wanted])
         held_scan.append(scan[wanted])
     _, sure = scanner_positions(np.concatenate(held_xyz), np.concatenate(held_scan))
     # A scan without a point near the ground is none that tells.
     return {"number": len(numbers), "blind_share": float(sure.sum() / len(asked))}
-
-
-def _is_low(xyz_m: Floats) -> Bools:
-    """Points (n,) that lie low in their cell of 1 m: ground where there is any, at little cost."""
-    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 1.0)
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    lowest = np.full(grid.rows * grid.columns, np.inf)
-    np.minimum.at(lowest, cell, xyz_m[:, 2])
-    return np.asarray(xyz_m[:, 2] - lowest[cell] < _LOW_M, bool)
 
 
 def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[Floats, Bools]:
@@ -177,20 +172,13 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
         found.append((float(x), float(y)))
         wide.append(bool(empty[best] >= _LEAST_BLIND_M))
         sure.append(bool(wide[-1] and density[best] > least))
-    xy = np.array(found).reshape(-1, 2)
-    return xy, _with_neighbours(xy, np.array(sure, dtype=bool), np.array(wide, dtype=bool))
-
-
-def _with_neighbours(xy: Floats, sure: Bools, wide: Bools) -> Bools:
-    """Scans (n,) that are sure, or have a wide disc where a sure one near them has its own.
-
-    Of a map that keeps one point a cell only the first scans are dense around their discs. Of two
-    sure ones neither is chance.
-    """
-    if sure.sum() < 2:
-        return sure
-    off = np.hypot(*(xy[:, None] - xy[None, sure]).transpose(2, 0, 1))
-    return np.asarray(sure | (wide & (off <= _NEXT_M).any(axis=1)), bool)
+    xy, is_sure = np.array(found).reshape(-1, 2), np.array(sure, dtype=bool)
+    # Of a map that keeps one point a cell only the first scans are dense around their discs: others
+    # are sure if their disc is wide and a sure one is near. Of two sure ones neither is chance.
+    if is_sure.sum() >= 2:
+        off = np.hypot(*(xy[:, None] - xy[None, is_sure]).transpose(2, 0, 1))
+        is_sure = is_sure | (np.array(wide, dtype=bool) & (off <= _NEXT_M).any(axis=1))
+    return xy, is_sure
 
 
 # Turns of a scanner that do not close: a step along the ray where each turn begins and ends.
@@ -257,7 +245,12 @@ def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tup
 
     asked = [turn(k) for k in range(0, len(members), -(-len(members) // _ASKED_TURNS))]
     rays = np.radians(np.arange(0.0, 360.0, _COARSE_DEG))
-    common = _common(np.array([[_highest(one.steps_m(ray)) for ray in rays] for one in asked]))
+    steps_m = np.array([[_highest(one.steps_m(ray)) for ray in rays] for one in asked])
+    # The step that most turns show along each ray, else 0.
+    median = np.nanmedian(np.where(np.isfinite(steps_m).any(axis=0), steps_m, 0.0), axis=0)
+    with np.errstate(invalid="ignore"):
+        alike = (steps_m * np.sign(median) >= 0.5 * np.abs(median)).sum(axis=0)
+    common = np.where(alike >= _ALIKE_SHARE * len(steps_m), median, 0.0)
     best = int(np.argmax(np.abs(common)))
     step_m, opposite_m = common[best], common[best - len(rays) // 2]
     if abs(step_m) < max(_LEAST_STEP_M, 2.0 * abs(opposite_m)):
@@ -335,14 +328,6 @@ def _highest(steps_m: Floats) -> float:
     """The step farthest from 0, NaN of none."""
     known = np.abs(np.nan_to_num(steps_m))
     return float(steps_m[np.argmax(known)]) if known.any() else np.nan
-
-
-def _common(steps_m: Floats) -> Floats:
-    """Step (k,) that most turns show along each ray, of (turns, k); else 0."""
-    median = np.nanmedian(np.where(np.isfinite(steps_m).any(axis=0), steps_m, 0.0), axis=0)
-    with np.errstate(invalid="ignore"):
-        alike = (steps_m * np.sign(median) >= 0.5 * np.abs(median)).sum(axis=0)
-    return np.where(alike >= _ALIKE_SHARE * len(steps_m), median, 0.0)
 
 
 def _ramp_m(xyz_m: Floats, turn: _Turn, ray: float, step_m: float) -> Floats:

@@ -190,34 +190,35 @@ def pillar_mask(
     sigma, thick = _layer_sigma_m(flat, rise_m, tilt, lowest, half, steady_pillars(width_m))
     agrees = np.abs(lowest - around) <= base_m + 3 * sigma + 2 * tilt_of
     level = np.where(agrees, lowest, around)
-    share = _object_share(flat, rise_m, level, tilt, np.maximum(base_m, thick))
+    # Share of the low points of a pillar and its eight neighbours that stand above a kerb.
+    low, high = _low_and_high(
+        flat, rise_m, level, tilt, np.maximum(base_m, thick), _KERB_M, _OBJECT_TOP_M
+    )
+    high = np.maximum(high - _STRAYS * low, 0)
+    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in (low, high))
+    share = high / np.maximum(low + high, 1)
     clean = agrees & (share < _CLEAN_SHARE)
     pattern = _mean_around(level, clean, 1)
     pattern = np.where(np.isnan(pattern), level, pattern)
-    middle = _layer_middle_m(flat, rise_m, tilt, pattern, clean, thick)
+    layer = np.where(clean, np.maximum(_LEAST_LAYER_M, thick), np.nan)
+    count, total = (box_sum(c, 2) for c in _layer_mean(flat, rise_m, tilt, pattern, layer))
+    middle = total / np.maximum(count, 1)
     highest = ndimage.maximum_filter(np.where(clean, level, -np.inf), 3, mode="nearest")
     wide = np.maximum(base_m, _WIDE_SIGMAS * sigma)
     narrow = np.minimum(wide, np.maximum(_NARROW_LEAST_M, _NARROW_SIGMAS * sigma))
     allowed = wide + (narrow - wide) * np.clip(share / _OBJECT_SHARE, 0, 1)
     if width_m <= _HEDGE_WIDTHS * settings.pillar_width_m:
-        rough = _is_rougher(sigma, base_m, steady_pillars(width_m))
+        # Layers much rougher than the smoothest one around. Noise of registration changes slowly,
+        # so that it is about the same so far away. A spread of 0 is an unknown one.
+        known = np.where(sigma > 0, sigma, np.inf)
+        floor = ndimage.minimum_filter(known, 2 * steady_pillars(width_m) + 1, mode="nearest")
+        rough = (sigma > _HEDGE_SHARE * base_m) & (sigma > _HEDGE_RATIO * floor)
         side = hedge_pillars(width_m)
         hedge = ndimage.binary_opening(rough & (share >= _CLEAN_SHARE), np.ones((side, side)))
         allowed = np.where(hedge, -np.inf, allowed)
     # The face of a kerb lies between the levels at its two sides.
     top = np.maximum(pattern, highest) + middle + allowed
     return _between(flat, rise_m, tilt, pattern + middle - allowed, top)
-
-
-def _is_rougher(sigma_m: Floats, base_m: float, far: int) -> Bools:
-    """Pillars (rows, columns) whose layer is much rougher than the smoothest one around.
-
-    Noise of registration changes slowly, so that it is about the same up to ``far`` pillars away.
-    A spread of 0 is an unknown one.
-    """
-    known = np.where(sigma_m > 0, sigma_m, np.inf)
-    floor = ndimage.minimum_filter(known, 2 * far + 1, mode="nearest")
-    return (sigma_m > _HEDGE_SHARE * base_m) & (sigma_m > _HEDGE_RATIO * floor)
 
 
 @compiled()
@@ -292,14 +293,6 @@ def _layer_moments(
     return count, total, square
 
 
-def _object_share(flat: Ints, rise: Floats, level: Floats, tilt: Floats, layer_m: Floats) -> Floats:
-    """Share of the low points of a pillar and its eight neighbours that stand above a kerb."""
-    low, high = _low_and_high(flat, rise, level, tilt, layer_m, _KERB_M, _OBJECT_TOP_M)
-    high = np.maximum(high - _STRAYS * low, 0)
-    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in (low, high))
-    return high / np.maximum(low + high, 1)
-
-
 @compiled()
 def _low_and_high(
     flat: Ints,
@@ -328,15 +321,6 @@ def _mean_around(values: Floats, chosen: Bools, half: int) -> Floats:
     count = box_sum(chosen.astype(np.float64), half)
     total = box_sum(np.where(chosen, values, 0.0), half)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _layer_middle_m(
-    flat: Ints, rise: Floats, tilt: Floats, pattern: Floats, clean: Bools, thick_m: Floats
-) -> Floats:
-    """Middle of the layer above the pattern of lowest points."""
-    thick = np.where(clean, np.maximum(_LEAST_LAYER_M, thick_m), np.nan)
-    count, total = (box_sum(c, 2) for c in _layer_mean(flat, rise, tilt, pattern, thick))
-    return total / np.maximum(count, 1)
 
 
 @compiled()

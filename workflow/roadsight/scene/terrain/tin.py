@@ -106,7 +106,16 @@ def triangulate(points_m: Floats, longest_m: float) -> Terrain:
     used = np.unique(triangles)
     number = np.full(len(points_m), -1, np.int32)
     number[used] = np.arange(len(used), dtype=np.int32)
-    return Terrain(points_m[used], _ordered(number[triangles], plan[used]))
+    # Counter-clockwise from their least vertex, in rising order.
+    triangles, plan = number[triangles], plan[used]
+    a, b, c = (plan[triangles[:, k]] for k in range(3))
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles = np.where(turn[:, None] < 0, triangles[:, ::-1], triangles)
+    start = triangles.argmin(axis=1)
+    rows = np.arange(len(triangles))[:, None]
+    triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
+    triangles = triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
+    return Terrain(points_m[used], triangles)
 
 
 def _summed(key: Ints, sums: Ints) -> CellSums:
@@ -131,17 +140,6 @@ def _outside(mesh: Delaunay, plan: Floats, longest_m: float) -> Bools:
     _, label = connected_components(graph, directed=False)
     at_hull = long & (mesh.neighbors < 0).any(axis=1)
     return long & np.isin(label, label[at_hull])
-
-
-def _ordered(triangles: Ints32, plan: Floats) -> Ints32:
-    """Triangles counter-clockwise from their least vertex, in rising order."""
-    a, b, c = (plan[triangles[:, k]] for k in range(3))
-    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    triangles = np.where(turn[:, None] < 0, triangles[:, ::-1], triangles)
-    start = triangles.argmin(axis=1)
-    rows = np.arange(len(triangles))[:, None]
-    triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
-    return triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
 
 
 # What the terrain hides from a camera, by ray casting (paper 2, section 3.2.4).
