@@ -150,11 +150,16 @@ def check_location(
     area = area_of_use(crs)
     lon_deg, lat_deg = longitude_latitude(crs, *centre)
     if not _inside(lon_deg, lat_deg, area, _AREA_TOLERANCE_DEG):
+        allowed = "anywhere on Earth"
+        if area is not None:
+            name = area.name if len(area.name) <= 60 else area.name[:57] + "..."
+            corners = f"{_place(area.west, area.south)} to {_place(area.east, area.north)}"
+            allowed = f"{corners} ({name}), give or take {_AREA_TOLERANCE_DEG:g} degree"
         raise InputError(
             f"{crs.name} puts the cloud where its coordinates cannot be",
             where=where,
             found=_place(lon_deg, lat_deg),
-            allowed="anywhere on Earth" if area is None else _extent(area),
+            allowed=allowed,
             hint=_likely_cause(crs, centre, area),
         )
     if not units_stated:
@@ -270,11 +275,3 @@ def _place(lon_deg: float, lat_deg: float) -> str:
         return "no place on Earth"
     north, east = "N" if lat_deg >= 0 else "S", "E" if lon_deg >= 0 else "W"
     return f"{abs(lat_deg):.3f} {north} {abs(lon_deg):.3f} {east}"
-
-
-def _extent(area: Area) -> str:
-    name = area.name if len(area.name) <= 60 else area.name[:57] + "..."
-    return (
-        f"{_place(area.west, area.south)} to {_place(area.east, area.north)} ({name}), "
-        f"give or take {_AREA_TOLERANCE_DEG:g} degree"
-    )

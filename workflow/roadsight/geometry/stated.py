@@ -55,23 +55,16 @@ def stated_crs(
     if not present:
         return StatedCrs()
     undecided = only_wkt and not wkt_bit
-    reason = _reason(wkt_bit)
     (first_name, first), *others = present
     for name, other in others:
         is_of_keys = _KEYS in (first_name, name)
         if undecided and is_of_keys and _differ(first, other, centre):
             return _refused(first_name, first, name, other, "the WKT bit is not set")
-        first_name, first = _both(
-            first_name, first, name, other, centre, reason if is_of_keys else _REASON_OF_WKT
-        )
+        reason = "as LAS up to 1.4 knows no other record"
+        if is_of_keys:
+            reason = f"as the WKT bit of the header says ({int(wkt_bit)})"
+        first_name, first = _both(first_name, first, name, other, centre, reason)
     return first
-
-
-_REASON_OF_WKT = "as LAS up to 1.4 knows no other record"
-
-
-def _reason(wkt_bit: bool) -> str:
-    return f"as the WKT bit of the header says ({int(wkt_bit)})"
 
 
 def _differ(first: StatedCrs, other: StatedCrs, centre: tuple[float, float] | None) -> bool:
@@ -251,7 +244,8 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
     """
     vertical_unit_m, notes = _vertical_unit(keys)
     code, model = _code(keys, _PROJECTED), _code(keys, _MODEL)
-    named = _named_code(keys)
+    # Parameters say it where this is `_USER_DEFINED`; 0 where there is none.
+    named = _code(keys, _PROJECTED if _PROJECTED in keys else _GEOGRAPHIC)
     if model in (2, 3) and code not in (0, _USER_DEFINED):
         problem = f"its GeoTIFF keys say {_MODELS[model]} (1024) and name EPSG:{code} (3072)"
         return StatedCrs(None, vertical_unit_m, problem, notes)
@@ -272,7 +266,7 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
     if (
         unit_m is not None
         and abs(unit_m / own_m - 1) > 1e-9
-        and unit_name(unit_m) in (METRES_PER_UNIT)
+        and unit_name(unit_m) in METRES_PER_UNIT
     ):
         notes = (
             *notes,
@@ -286,11 +280,6 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
 def _code(keys: Keys, key: int) -> int:
     value = keys.get(key, 0)
     return value if isinstance(value, int) else 0
-
-
-def _named_code(keys: Keys) -> int:
-    """EPSG code of the CRS, `_USER_DEFINED` where parameters say it, 0 where there is none."""
-    return _code(keys, _PROJECTED if _PROJECTED in keys else _GEOGRAPHIC)
 
 
 def _number(keys: Keys, *wanted: int) -> float | None:
@@ -339,9 +328,9 @@ def _user_defined(keys: Keys) -> tuple[CRS | None, str]:
         }
         crs = CRS.from_json_dict(content)
         name = unit_name(unit_m or 1.0)
-        return (with_linear_unit(crs, name) if name in METRES_PER_UNIT else None), (
-            "" if name in METRES_PER_UNIT else f"its GeoTIFF keys count in a {name}"
-        )
+        known = name in METRES_PER_UNIT
+        problem = "" if known else f"its GeoTIFF keys count in a {name}"
+        return (with_linear_unit(crs, name) if known else None), problem
     except (CRSError, KeyError, ValueError) as error:
         return None, f"the projection in its GeoTIFF keys cannot be used ({error})"
 
