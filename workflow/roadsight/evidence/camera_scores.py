@@ -39,23 +39,19 @@ def camera_errors(
     """
     both = cameras.merge(truth, on="image", suffixes=("", "_true"))
     level = np.pad(tangents, ((0, 0), (0, 1)))
-    rows = [_errors(row, edges_m, level) for _, row in both.iterrows()]
+    rows = []
+    for _, row in both.iterrows():
+        angles = ("heading", "pitch", "roll")
+        turn = [float(wrap_deg(row[f"{a}_deg"] - row[f"{a}_deg_true"])) for a in angles]
+        heading = np.radians(row["heading_deg_true"])
+        east, north, up = (row[axis] - row[f"{axis}_true"] for axis in "xyz")
+        along = east * np.sin(heading) + north * np.cos(heading)
+        right = east * np.cos(heading) - north * np.sin(heading)
+        focal = row["focal_px"] / row["focal_px_true"]
+        rows.append([*turn, along, right, up, focal, *_pixel_errors(row, edges_m, level)])
     names = ("yaw_deg", "pitch_deg", "roll_deg", "along_m", "right_m", "up_m", "focal_ratio")
     found = pd.DataFrame(rows, columns=[*names, "point_px", "edge_px"], dtype=float)
     return pd.concat([both[["image", "accepted"]], found], axis=1)
-
-
-def _errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> list[float]:
-    turn = [
-        float(wrap_deg(row[f"{name}_deg"] - row[f"{name}_deg_true"]))
-        for name in ("heading", "pitch", "roll")
-    ]
-    heading = np.radians(row["heading_deg_true"])
-    east, north, up = (row[axis] - row[f"{axis}_true"] for axis in "xyz")
-    along = east * np.sin(heading) + north * np.cos(heading)
-    right = east * np.cos(heading) - north * np.sin(heading)
-    focal = row["focal_px"] / row["focal_px_true"]
-    return [*turn, along, right, up, focal, *_pixel_errors(row, edges_m, tangents)]
 
 
 def _pixel_errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> tuple[float, float]:

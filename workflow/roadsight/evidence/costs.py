@@ -13,7 +13,7 @@ sites count alike.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -216,17 +216,15 @@ def fit(records: Iterable[Record]) -> dict[str, StepCost]:
     by_step: dict[str, list[Record]] = {}
     for record in records:
         by_step.setdefault(record.step, []).append(record)
-    return {step: _fit_step(found) for step, found in by_step.items()}
-
-
-def _fit_step(records: list[Record]) -> StepCost:
-    jobs = [r.jobs for r in records]
-    cpu = fit_line(jobs, [r.units for r in records], [r.cpu_s for r in records])
-    known = [r for r in records if np.isfinite(r.peak_mib)]
-    peak = fit_line(
-        [1.0] * len(known), [r.units / r.jobs for r in known], [r.peak_mib for r in known]
-    )
-    return StepCost(cpu, peak, len({r.site for r in records}))
+    costs = {}
+    for step, found in by_step.items():
+        jobs, units = [r.jobs for r in found], [r.units for r in found]
+        cpu = fit_line(jobs, units, [r.cpu_s for r in found])
+        known = [r for r in found if np.isfinite(r.peak_mib)]
+        units = [r.units / r.jobs for r in known]
+        peak = fit_line([1.0] * len(known), units, [r.peak_mib for r in known])
+        costs[step] = StepCost(cpu, peak, len({r.site for r in found}))
+    return costs
 
 
 def predict(costs: dict[str, StepCost], record: Record) -> float:
@@ -254,12 +252,6 @@ def typical_factor(ratios: Iterable[float]) -> float:
     """Factor within which two thirds of held-out predictions lie, in either direction."""
     logs = np.abs(np.log(list(ratios)))
     return float(np.exp(np.quantile(logs, 2 / 3))) if len(logs) else float("nan")
-
-
-def amounts_from(content: dict[str, Any]) -> Amounts:
-    """Amounts from plain values; names that it does not know are left out."""
-    known = {field.name for field in fields(Amounts)}
-    return Amounts(**{name: value for name, value in content.items() if name in known})
 
 
 def costs_to_content(costs: dict[str, StepCost]) -> dict[str, Any]:

@@ -49,7 +49,6 @@ PRODUCTS = {
 }
 POLES = 180  # Poles that the paper located.
 CHECKED = 29  # Of them, those whose places were known.
-ROUTE_KM = 10.1  # Length of its route.
 MEAN_M = 6.3  # Mean distance between located and known poles.
 STD_M = 5.7  # Standard deviation of this distance.
 WITHIN_75_M = 8.4  # Three quarters of the poles lie within this distance.
