@@ -103,13 +103,9 @@ def depth_loss(found: Tensor, inverse_depth: Tensor, classes: Tensor) -> Tensor:
     weights = weights / weights.mean(dim=(1, 2), keepdim=True)
     error = own - truth
     plain = (weights * error.abs()).mean() + 0.1 * (weights * (found - truth).abs()).mean()
-    return plain + _STEP_SHARE * _step_loss(error)
-
-
-def _step_loss(error: Tensor) -> Tensor:
-    """Mean change of the error between neighbours, at four sizes: keeps the edges of objects."""
+    # Mean change of the error between neighbours, at four sizes: keeps the edges of objects.
     lost = error.new_zeros(())
     for step in (1, 2, 4, 8):
         thinned = error[:, ::step, ::step]
         lost = lost + thinned.diff(dim=1).abs().mean() + thinned.diff(dim=2).abs().mean()
-    return lost / 4.0
+    return plain + _STEP_SHARE * (lost / 4.0)
