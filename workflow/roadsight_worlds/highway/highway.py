@@ -18,7 +18,7 @@ from roadsight_worlds.casting.alignment import Alignment, to_road
 from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass
 from roadsight_worlds.casting.scene import Scene, SceneBuilder
 from roadsight_worlds.casting.terrain import Terrain
-from roadsight_worlds.highway.furniture import add_furniture, add_overhead
+from roadsight_worlds.highway.furniture import add_furniture, add_overhead, add_vegetation
 from roadsight_worlds.highway.highway_ground import (
     CrossSection,
     highway_terrain,
@@ -26,7 +26,6 @@ from roadsight_worlds.highway.highway_ground import (
     is_paved,
 )
 from roadsight_worlds.highway.roadside import Pole, Roadside
-from roadsight_worlds.highway.vegetation import add_vegetation
 
 # UTM zone 50 north on WGS 84: metres, and places far from 0, where single precision fails.
 EPSG = 32650

@@ -112,12 +112,22 @@ def _strip(
     rng: np.random.Generator,
 ) -> Returns:
     """Every return of the pulses aimed at a stretch of road."""
-    road = _aims(start_m, end_m, scanner, rng)
+    # Stations and offsets of a jittered grid with the wanted density.
+    cell = 1.0 / np.sqrt(scanner.pulses_per_m2)
+    station = np.arange(start_m, end_m, cell)
+    offset = np.arange(-scanner.half_width_m, scanner.half_width_m, cell)
+    grid = np.stack(np.meshgrid(station, offset, indexing="ij"), axis=-1).reshape(-1, 2)
+    road = grid + rng.uniform(0.0, cell, grid.shape)
     line = rng.integers(0, 2, len(road))
     origin, ray, angle = _pulses(renderer, road, line, scanner)
     pulse, number, hits = _echoes(renderer, origin, ray, rng)
     classes, reflectance = _surfaces(renderer, hits)
-    classes = _edge_errors(renderer, hits, classes, scanner.edge_error_share, rng)
+    # Swap road and ground for some points near the pavement's edge.
+    edge = renderer.site.ground.section.pavement_m
+    near = np.abs(np.abs(hits.road_m[:, 1]) - edge) < _EDGE_M
+    swap = near & np.isin(classes, (2, 11))
+    swap &= rng.uniform(size=len(classes)) < scanner.edge_error_share
+    classes = np.where(swap, 13 - classes, classes).astype(np.uint8)
     along = ray[pulse]
     classes = _in_scheme(renderer, hits, classes, scanner.class_scheme)
     noise = rng.normal(0.0, scanner.plan_sigma_m, (len(pulse), 3))
@@ -153,17 +163,6 @@ def _in_scheme(renderer: RuralRenderer, hits: Cast, classes: Bytes, scheme: str)
     material = renderer.site.mesh.material[hits.triangle]
     line = [material == Material.WIRE, np.isin(material, _LINE), classes == 1]
     return np.select(line, [np.uint8(14), np.uint8(15), np.uint8(64)], classes)
-
-
-def _aims(
-    start_m: float, end_m: float, scanner: AirborneScanner, rng: np.random.Generator
-) -> Floats:
-    """Stations and offsets (n, 2) of a jittered grid with the wanted density."""
-    cell = 1.0 / np.sqrt(scanner.pulses_per_m2)
-    station = np.arange(start_m, end_m, cell)
-    offset = np.arange(-scanner.half_width_m, scanner.half_width_m, cell)
-    grid = np.stack(np.meshgrid(station, offset, indexing="ij"), axis=-1).reshape(-1, 2)
-    return grid + rng.uniform(0.0, cell, grid.shape)
 
 
 def _pulses(
@@ -228,13 +227,3 @@ def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[Bytes, Floats]:
     classes[ground] = CLOUD_OF_GROUND[ground_kinds(site.surface, *at, lines=False)]
     reflectance[ground] = REFLECTANCE_OF_GROUND[ground_kinds(site.surface, *at)]
     return classes, reflectance
-
-
-def _edge_errors(
-    renderer: RuralRenderer, hits: Cast, classes: Bytes, share: float, rng: np.random.Generator
-) -> Bytes:
-    """Swap road and ground for some points near the pavement's edge."""
-    edge = renderer.site.ground.section.pavement_m
-    near = np.abs(np.abs(hits.road_m[:, 1]) - edge) < _EDGE_M
-    swap = near & np.isin(classes, (2, 11)) & (rng.uniform(size=len(classes)) < share)
-    return np.where(swap, 13 - classes, classes).astype(np.uint8)

@@ -159,15 +159,11 @@ class MeshBuilder:
         return Mesh(*joined)
 
 
-def _turned(points_m: Floats, heading_rad: float) -> Floats:
-    """Points turned about z."""
-    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
-    return points_m @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-
 def turned(points_m: ArrayLike, heading_rad: float, place_m: ArrayLike) -> Floats:
     """Points (n, 3) of a body's frame whose x axis points along ``heading_rad``, at a place."""
-    return _turned(np.asarray(points_m, float), heading_rad) + np.asarray(place_m, float)
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    about_z = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(points_m, float) @ about_z + np.asarray(place_m, float)
 
 
 def raised(place_m: ArrayLike, by_m: float) -> Floats:

@@ -42,21 +42,18 @@ def _sign(add: Furnisher, station: float, offset: float, side: int) -> None:
     away = rng.choice([0.0, math.pi, rng.uniform(-math.pi, math.pi)], p=[0.6, 0.25, 0.15])
     heading = towards + away + rng.normal(0.0, 0.08)
     add.mesh.start("sign")
-    _posts(add, foot, height, heading, float(np.ptp(outlines[0][:, 0])))
-    for outline in outlines:
-        middle = raised(foot, bottom - float(outline[:, 1].min()))
-        _panel(add, outline, heading, middle)
-        bottom += float(np.ptp(outline[:, 1])) + 0.05
-
-
-def _posts(add: Furnisher, foot: Floats, height: float, heading: float, wide: float) -> None:
-    """One post behind the middle, or two behind a wide panel."""
+    # One post behind the middle, or two behind a wide panel.
+    wide = float(np.ptp(outlines[0][:, 0]))
     material = Material.POLE_WOOD if add.rng.random() < 0.3 else Material.STEEL_POST
     radius = add.rng.uniform(0.025, 0.06)
     across = [0.0] if wide < _WIDE_M else [-0.35 * wide, 0.35 * wide]
     for y in across:
         place = turned([[0.0, y, 0.0]], heading, foot)[0]
         add.mesh.post(place, height, (radius, radius), 6, material, add.rng.uniform())
+    for outline in outlines:
+        middle = raised(foot, bottom - float(outline[:, 1].min()))
+        _panel(add, outline, heading, middle)
+        bottom += float(np.ptp(outline[:, 1])) + 0.05
 
 
 def _outline(rng: np.random.Generator) -> Floats:

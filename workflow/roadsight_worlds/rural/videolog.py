@@ -192,21 +192,18 @@ def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     travelled = drive.step_m * np.arange(count, dtype=np.float64)
     station = travelled if drive.forward else site.length_m - travelled
     way_m = site.ground.section.drive_m * (-1.0 if drive.forward else 1.0)
-    offset, drift = _lane_place(station, way_m, rng)
+    # Two slow waves in the lane.
+    lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+    angle = 2.0 * np.pi * station[:, None] / lengths + phases
+    rate = 2.0 * np.pi / lengths
+    offset = way_m + 0.11 * np.sin(angle).sum(axis=1)
+    drift = 0.11 * (np.cos(angle) * rate).sum(axis=1)  # per metre of station
     noise = drive.gps.draw(travelled, rng)
     shakes = rng.normal(size=(count, 4))
     return [
         _shot(site, drive, i + 1, (station[i], offset[i], drift[i]), noise[i], shakes[i])
         for i in range(count)
     ]
-
-
-def _lane_place(station: Floats, way_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Offset of the vehicle and its change per metre of station: two slow waves in the lane."""
-    lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
-    angle = 2.0 * np.pi * station[:, None] / lengths + phases
-    rate = 2.0 * np.pi / lengths
-    return way_m + 0.11 * np.sin(angle).sum(axis=1), 0.11 * (np.cos(angle) * rate).sum(axis=1)
 
 
 def _shot(
