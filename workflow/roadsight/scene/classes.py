@@ -13,6 +13,8 @@ UNCLASSIFIED = 1  # Unclassified.
 GROUND = 2  # Ground.
 ROAD = 11  # Road surface.
 BRIDGE = 17  # Bridge deck.
+ROADS = (ROAD, BRIDGE)
+WATER = 9
 VEGETATION = (3, 4, 5)  # Low, medium and high vegetation.
 # Common classes as people call them.
 CLASS_NAMES = {

@@ -18,18 +18,6 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Ints, Ints32
 
 _MARGIN_M = 30.0  # How far curbs are followed straight on beyond both ends of the track.
-# Points no higher above the lowest one of their cell are of the surface: more than a scanner's
-# noise, less than most of what stands on it.
-_SHELL_M = 0.10
-_FEWEST = 2  # Points in the window along the line that a height needs.
-# Cells this near to the track are the road, from whose height it is told what stands up.
-_LANE_M = 1.5
-# What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step.
-_MOST_SLOPE_M = 0.05
-# What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
-# of 120 cells it stays below that.
-_NEARER = 0.006
-_ASIDE_CELLS = 3  # How far aside a curb may go from one station to the next.
 
 
 @dataclass(frozen=True)
@@ -114,6 +102,12 @@ def smooth_line(track_xy_m: Floats, spacing_m: float, beyond_m: float) -> Floats
     return np.concatenate([before, line, line[-1] + away * end / np.hypot(*end)])
 
 
+# Points no higher above the lowest one of their cell are of the surface: more than a scanner's
+# noise, less than most of what stands on it.
+_SHELL_M = 0.10
+_FEWEST = 2  # Points in the window along the line that a height needs.
+
+
 def surface(xyz_m: Floats, line: Floats, settings: CurbSettings) -> Floats:
     """Height (stations, cells) of the lowest surface along a line, NaN where it was not seen.
 
@@ -183,6 +177,12 @@ def _side(heights: Floats, line: Floats, side: int, first: int, settings: CurbSe
     return Curbs(xyz, direction, (piece[kept] + first).astype(np.int32), step[row, cell][kept])
 
 
+# Cells this near to the track are the road, from whose height it is told what stands up.
+_LANE_M = 1.5
+# What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step.
+_MOST_SLOPE_M = 0.05
+
+
 def steps(outwards: Floats, settings: CurbSettings) -> tuple[Floats, Floats]:
     """Rise of the surface beyond each cell, and the height of its foot; both (stations, cells).
 
@@ -223,6 +223,12 @@ def _means(values: Floats, reach: int, direction: int) -> Floats:
         total += np.where(there, moved, 0.0)
         count += there
     return np.where(count >= 0.5 * reach, total / np.maximum(count, 1), np.nan)
+
+
+# What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
+# of 120 cells it stays below that.
+_NEARER = 0.006
+_ASIDE_CELLS = 3  # How far aside a curb may go from one station to the next.
 
 
 def follow(step_m: Floats, settings: CurbSettings) -> Ints:

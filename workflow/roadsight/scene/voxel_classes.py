@@ -249,7 +249,7 @@ def seen_from_above(grid: VoxelGrid, voxels: Voxels) -> Columns:
     return Columns(row, column, cls, height, share)
 
 
-# Compiled loops over sorted voxels, see `roadsight.scene.voxel_classes`.
+# Compiled loops over sorted voxels.
 
 
 @compiled(nogil=True, error_model="numpy")

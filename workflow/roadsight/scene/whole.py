@@ -17,6 +17,7 @@ from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Ground, GroundClasses, GroundFilter, PavementOutline
 from roadsight.base.seeds import SEED
+from roadsight.scene.classes import ROADS, WATER
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.fpfh import describe_ground, fit_smoothness, is_smooth
@@ -183,9 +184,7 @@ class FoundRoad:
     surface_m: Floats
 
 
-_ROAD_CLASSES = (11, 17)  # Road surface, and bridge deck, which no coarse ground knows of.
-_WATER = 9
-NEVER_CLASSES = (7, _WATER, 18)  # Low noise, water, high noise.
+NEVER_CLASSES = (7, WATER, 18)  # Low noise, water, high noise.
 
 
 def road_of(
@@ -208,10 +207,10 @@ def road_of(
     InputError : a seed lies off the ground, or no smooth ground is wide enough for a road.
     """
     settings, known = settings or RoadSettings(), known or KnownRoad()
-    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, _ROAD_CLASSES)
+    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, ROADS)
     never = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, NEVER_CLASSES)
     near = np.flatnonzero((near_ground(xyz_m) | said) & ~never)
-    water = None if classes is None else xyz_m[classes == _WATER, :2]
+    water = None if classes is None else xyz_m[classes == WATER, :2]
     surface = find_road(
         xyz_m[near],
         None if intensity is None else intensity[near],

@@ -24,6 +24,9 @@ _USUAL = GroundClasses().thinning
 _SMALLEST_AREA_M2 = 200.0  # Less pavement than this is no road.
 # Three quarters of a pavement's points depart less than this from a local plane.
 _ROUGHEST_M = 0.05
+# Points of the thinned surface that a place's plane goes through: the ring around it.
+_PLANE_NEIGHBOURS = 8
+_HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
 
 
 def pavement_settings_for(
@@ -119,11 +122,6 @@ def outline_pavement(
     return outline
 
 
-# Points of the thinned surface that a place's plane goes through: the ring around it.
-_PLANE_NEIGHBOURS = 8
-_HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
-
-
 def vote(grid: Grid, x: Floats, y: Floats, smooth: Bools, radius_m: float) -> Bools:
     """Class of each point after its neighbours' vote, which falls off as a Gaussian.
 
@@ -199,42 +197,6 @@ def _multi(geometry: shapely.Geometry) -> MultiPolygon:
 # Euclidean clustering: points closer than a distance belong together (paper 1, section 2.2).
 
 
-@compiled_part()
-def _root(parent: Ints, i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@compiled()
-def _roots(parent: Ints) -> Ints:
-    return np.array([_root(parent, i) for i in range(len(parent))])
-
-
-@compiled()
-def _link(
-    xyz: Floats, first: Ints, keys: Ints, stride: Ints, distance: float, parent: Ints
-) -> None:
-    """Union all pairs within ``distance``; cells are as wide as it, so 27 cells hold them all."""
-    for c in range(len(keys)):
-        for dx in range(-1, 2):
-            for dy in range(-1, 2):
-                for dz in range(-1, 2):
-                    key = keys[c] + dx * stride[0] + dy * stride[1] + dz * stride[2]
-                    if key < keys[c]:
-                        continue  # each pair of cells once
-                    other = np.searchsorted(keys, key)
-                    if other == len(keys) or keys[other] != key:
-                        continue
-                    for i in range(first[c], first[c + 1]):
-                        root = _root(parent, i)
-                        for j in range(first[other], first[other + 1]):
-                            d = xyz[i] - xyz[j]
-                            if d[0] ** 2 + d[1] ** 2 + d[2] ** 2 < distance**2:
-                                parent[_root(parent, j)] = root
-
-
 def euclidean_clusters(xyz_m: Floats, distance_m: float, engine: Engine = OWN) -> Ints:
     """Cluster number of each point, 0 for the largest cluster.
 
@@ -281,3 +243,39 @@ def _by_size(labels: Ints) -> Ints:
     rank = np.empty(len(count), np.int64)
     rank[np.lexsort((first, -count))] = np.arange(len(count))
     return rank[inverse]
+
+
+@compiled()
+def _link(
+    xyz: Floats, first: Ints, keys: Ints, stride: Ints, distance: float, parent: Ints
+) -> None:
+    """Union all pairs within ``distance``; cells are as wide as it, so 27 cells hold them all."""
+    for c in range(len(keys)):
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    key = keys[c] + dx * stride[0] + dy * stride[1] + dz * stride[2]
+                    if key < keys[c]:
+                        continue  # each pair of cells once
+                    other = np.searchsorted(keys, key)
+                    if other == len(keys) or keys[other] != key:
+                        continue
+                    for i in range(first[c], first[c + 1]):
+                        root = _root(parent, i)
+                        for j in range(first[other], first[other + 1]):
+                            d = xyz[i] - xyz[j]
+                            if d[0] ** 2 + d[1] ** 2 + d[2] ** 2 < distance**2:
+                                parent[_root(parent, j)] = root
+
+
+@compiled_part()
+def _root(parent: Ints, i: int) -> int:
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@compiled()
+def _roots(parent: Ints) -> Ints:
+    return np.array([_root(parent, i) for i in range(len(parent))])

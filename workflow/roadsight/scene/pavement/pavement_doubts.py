@@ -12,6 +12,7 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.doubts import Doubt
+from roadsight.scene.classes import ROADS, WATER
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes
 from roadsight.scene.pavement.road_surface import (
@@ -21,8 +22,6 @@ from roadsight.scene.pavement.road_surface import (
     step_heights_m,
 )
 
-_WATER = 9
-_ROAD_CLASSES = (11, 17)
 # Ground, model key points, rails, road, bridge deck: what a pavement's points may be called.
 _GROUND_CLASSES = (2, 8, 10, 11, 17)
 _UNTOLD = (0, 1, 12)  # Never classified, unclassified, overlap: classes that say nothing.
@@ -32,29 +31,14 @@ _SEA = 0.5  # Mostly water is no pavement at all.
 # a fifth of real streets.
 _MOST_OTHER = 0.3
 _LEAST_OWN = 0.7  # Share of the file's own road points on the pavement.
-_MAIN_PART = 0.5  # Share of the area in the largest of several surfaces.
-_REACH_BLOCK_M = 20.0  # Blocks in which the dense corridor is looked at: wider than its road.
-# A block is dense from this share of the density that a quarter of the points have or beat.
-_DENSE = 0.25
-# Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all.
-_LEAST_REACHED = 0.5
-# Share of the track on the pavement: positions are a metre off, junctions are closed late.
-_LEAST_TRACK = 0.8
-# Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
-# streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
-# from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests.
-MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
-# Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs.
-_MOST_OPEN = 0.5
-# Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
-# and more, 1.4 on one with 80.
-_MOST_UNSURE = 1.0
-LEAST_PER_M2 = 9.0  # Points that a target half a metre wide needs: 1.5 spacings across it.
-_STRIP_M = 0.5  # An edge is confirmed by a step within this distance.
-_STEP_M = 0.03  # Lowest kerb.
 
 
 # Scans that say different things of one surface: other epochs, or registration that failed.
+
+
+# Cells in which scans are compared: several points of each, and little rise of the road within.
+_CELL_M = 0.5
+_FEWEST_POINTS = 3  # Points of a scan in a cell whose mean height counts.
 
 
 @dataclass
@@ -106,6 +90,13 @@ class ScanHeights:
         self.cell.append(cell + self.cells)
         self.spread_m.append(np.sqrt(square[enough][shared]))
         self.cells += int(cell.max()) + 1 if len(cell) else 0
+
+
+_REACH_BLOCK_M = 20.0  # Blocks in which the dense corridor is looked at: wider than its road.
+# A block is dense from this share of the density that a quarter of the points have or beat.
+_DENSE = 0.25
+_STRIP_M = 0.5  # An edge is confirmed by a step within this distance.
+_STEP_M = 0.03  # Lowest kerb.
 
 
 @dataclass
@@ -160,11 +151,11 @@ class PavementFacts:
         self.on += int((on & ground).sum())
         if classes is None:
             return
-        said = classes[on & (ground | (classes == _WATER))]
+        said = classes[on & (ground | (classes == WATER))]
         self.told += int((~np.isin(said, _UNTOLD)).sum())
-        self.water += int((said == _WATER).sum())
-        self.other += int((~np.isin(said, (*_UNTOLD, *_GROUND_CLASSES, _WATER))).sum())
-        own = np.isin(classes, _ROAD_CLASSES)
+        self.water += int((said == WATER).sum())
+        self.other += int((~np.isin(said, (*_UNTOLD, *_GROUND_CLASSES, WATER))).sum())
+        own = np.isin(classes, ROADS)
         self.own += int(own.sum())
         self.own_on += int((own & on).sum())
 
@@ -217,6 +208,23 @@ class PavementFacts:
         dense = places[count >= _DENSE * typical] * _REACH_BLOCK_M
         boxes = shapely.box(*dense.T, *(dense + _REACH_BLOCK_M).T)
         return float(shapely.dwithin(boxes, outline, _REACH_BLOCK_M / 2).mean())
+
+
+# Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs.
+_MOST_OPEN = 0.5
+# Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
+# and more, 1.4 on one with 80.
+_MOST_UNSURE = 1.0
+LEAST_PER_M2 = 9.0  # Points that a target half a metre wide needs: 1.5 spacings across it.
+# Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all.
+_LEAST_REACHED = 0.5
+# Share of the track on the pavement: positions are a metre off, junctions are closed late.
+_LEAST_TRACK = 0.8
+_MAIN_PART = 0.5  # Share of the area in the largest of several surfaces.
+# Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
+# streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
+# from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests.
+MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
 
 
 def pavement_doubts(
@@ -317,9 +325,6 @@ def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     return found
 
 
-# Cells in which scans are compared: several points of each, and little rise of the road within.
-_CELL_M = 0.5
-_FEWEST_POINTS = 3  # Points of a scan in a cell whose mean height counts.
 _FEWEST_CELLS = 100  # Cells, 25 m2, that a scan must share with others before it is compared.
 # Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
 # and by over this on up to 2 %. Thinner layers of asphalt are not told from registration.

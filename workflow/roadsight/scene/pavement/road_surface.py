@@ -160,6 +160,9 @@ def cell_for(xyz_m: Floats, settings: RoadSettings) -> float:
     return max(settings.cell_m, round(wanted / 0.05) * 0.05)
 
 
+_FEWEST_POINTS = 100  # Fewer points tell no spacing.
+
+
 def find_road(
     xyz_m: Floats,
     intensity: Floats | None = None,
@@ -310,6 +313,9 @@ def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
     return np.hypot(*parts) * planes.scale_m * np.sqrt(2 * np.pi)
 
 
+_MOST_ROUNDS = 5  # What was shut may have hidden another way round: a street needs two rounds.
+
+
 def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float = 1.0) -> Bools:
     """Surface of the seeds, without what only a gap joins to it though a step parts them elsewhere.
 
@@ -328,7 +334,6 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     return grown
 
 
-_MOST_ROUNDS = 5  # What was shut may have hidden another way round: a street needs two rounds.
 _PARTED_M = 2.0  # Growth ends up to 1 m before a step from either side.
 _LEAST_PARTED_M = 3.0  # Shorter stretches beside a surface are corners of a gap.
 
@@ -358,6 +363,13 @@ def _rim(core: Bools, way: Bools, cells: int) -> Bools:
     """Cells beside those that are reached from a core over so many cells of a way."""
     reached = ndimage.binary_dilation(core, iterations=cells, mask=way | core)
     return np.asarray(ndimage.binary_dilation(reached), bool)
+
+
+# Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
+# allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
+# five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
+# 88.6.
+_MOST_SPREAD = 2.0
 
 
 def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float) -> Bools:
@@ -393,11 +405,7 @@ def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     )
 
 
-# Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
-# allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
-# five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
-# 88.6.
-_MOST_SPREAD = 2.0
+_MOST_PARTS = 50  # Surfaces tried; a site of some hectares has a dozen.
 
 
 def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSettings) -> Bools:
@@ -428,9 +436,6 @@ def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSetti
     return total
 
 
-_MOST_PARTS = 50  # Surfaces tried; a site of some hectares has a dozen.
-
-
 def opened(area: Bools, radius: float) -> Bools:
     """Opening of a raster by a disc of a radius in cells."""
     core = ndimage.distance_transform_edt(np.pad(area, 1))[1:-1, 1:-1] > radius
@@ -455,28 +460,7 @@ def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
     return seed
 
 
-_HALF_LANE_M = 1.75  # Half a lane beside the driven line is lane.
-# To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
-# to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed
-# a kerb; now up to 4.
-_DIRECTION_DEG = 2.0
-_DIRECTION_M = 10.0  # More of a drive is a bend rather than a direction.
-_FEWEST_POSITIONS = 3  # Two positions tell no scatter.
-_LEAST_SCATTER_M = 0.02  # Of positions by survey receivers.
-_MOVED_M = 0.1  # Positions whose first and last are nearer to each other tell no direction.
-_AHEAD_M = 5.0  # The road goes on beyond the first and last position by more than a blind disc.
-
-
-_FEWEST_POINTS = 100  # Fewer points tell no spacing.
-# Points this near to what is known of the road tell its spacing: four lanes and their sides.
-_ROADSIDE_M = 25.0
-_STANDING_M = 3.0  # Positions are up to 0.7 m off, so that a shorter drive has no direction.
-# Flat ground so far to both sides tells a street's direction; walks beside it are not met.
-_LOOK_M = 15.0
-_SIDE_M = 2.0  # The line of a vehicle that stood reaches to a lane's length beyond its blind disc.
-_SEED_M = 1.0  # Ground this near to a seed is where the road is looked for first.
 _WATER_M = 2.0  # Water reflects few pulses: gaps this near to its points are water.
-_SEED_OFF_M = 3.0  # A seed farther from any ground lies off the cloud or in an obstacle.
 
 
 def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
@@ -497,6 +481,10 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
     if not shut.any():
         return ground
     return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut, shut=shut)
+
+
+# Points this near to what is known of the road tell its spacing: four lanes and their sides.
+_ROADSIDE_M = 25.0
 
 
 def _around(xyz_m: Floats, driven: Floats, known: KnownRoad) -> Floats:
@@ -546,6 +534,13 @@ def _seeds(
     return np.zeros_like(flat), "ground"
 
 
+_HALF_LANE_M = 1.75  # Half a lane beside the driven line is lane.
+_STANDING_M = 3.0  # Positions are up to 0.7 m off, so that a shorter drive has no direction.
+# Flat ground so far to both sides tells a street's direction; walks beside it are not met.
+_LOOK_M = 15.0
+_SIDE_M = 2.0  # The line of a vehicle that stood reaches to a lane's length beyond its blind disc.
+
+
 def _with_direction(ground: _Ground, flat: Bools, places: Floats) -> Floats:
     """Positions (k, 2) of scans in order; of a vehicle that stood, a line along its street.
 
@@ -567,13 +562,12 @@ def _with_direction(ground: _Ground, flat: Bools, places: Floats) -> Floats:
     return np.array([middle - _SIDE_M * best, middle + _SIDE_M * best])
 
 
-def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
-    """Measured ground around places (k, 2).
+_SEED_M = 1.0  # Ground this near to a seed is where the road is looked for first.
+_SEED_OFF_M = 3.0  # A seed farther from any ground lies off the cloud or in an obstacle.
 
-    Raises
-    ------
-    InputError : one of them has none.
-    """
+
+def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
+    """Measured ground around places (k, 2), or an `InputError` where one of them has none."""
     row, column = np.nonzero(ground.measured)
     tree = cKDTree(np.column_stack(ground.cells.grid.centres(column, row)))
     off_m, _ = tree.query(seeds_xy)
@@ -608,6 +602,17 @@ def driven_line(xy_m: Floats) -> shapely.Geometry:
     return shapely.linestrings(np.vstack([_before(xy_m), xy_m, _before(xy_m[::-1])]))
 
 
+# To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
+# to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed
+# a kerb; now up to 4.
+_DIRECTION_DEG = 2.0
+_DIRECTION_M = 10.0  # More of a drive is a bend rather than a direction.
+_FEWEST_POSITIONS = 3  # Two positions tell no scatter.
+_LEAST_SCATTER_M = 0.02  # Of positions by survey receivers.
+_MOVED_M = 0.1  # Positions whose first and last are nearer to each other tell no direction.
+_AHEAD_M = 5.0  # The road goes on beyond the first and last position by more than a blind disc.
+
+
 def _before(xy_m: Floats) -> Floats:
     """Place (2,) on the way to the first of the positions (n, 2), straight on.
 
@@ -632,6 +637,14 @@ def _before(xy_m: Floats) -> Floats:
 def _first(fit: Bools) -> int:
     """Number of positions up to the first that is fit; all of them where none is."""
     return int(np.argmax(fit)) + 1 if fit.any() else len(fit)
+
+
+# Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have.
+_OWN_POINTS = 4
+# The growth looks at tones through windows, of which the lower third counts, and so may run on by
+# three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
+# either side without this rim, 0 to 0.07 m with it.
+_RIM_M = 0.6
 
 
 def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[Bools, Floats]:
@@ -661,14 +674,6 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     toned = whole & (inner | _as_toned(ground, inner, settings))
     # Paint is not the edge: a cell of another tone between two of the road's stays.
     return opened(ndimage.binary_closing(toned) & whole, 2.0) | (inner & whole), height
-
-
-# Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have.
-_OWN_POINTS = 4
-# The growth looks at tones through windows, of which the lower third counts, and so may run on by
-# three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
-# either side without this rim, 0 to 0.07 m with it.
-_RIM_M = 0.6
 
 
 def _as_toned(ground: _Ground, road: Bools, settings: RoadSettings) -> Bools:

@@ -20,9 +20,6 @@ _CELL_M = 0.4  # Shared cells: wide enough to be hit by several scans, narrower 
 _ROUNDS = 4  # Means and planes in turn; the planes change by less than 0.1 mm after the third.
 _FLAT_M = 0.08  # A scan's points in one cell that spread more are not on flat ground.
 _FEWEST = 100  # Shared cells below which a scan keeps its heights.
-_BLIND_M = 4.0  # Widest blind disc below a turning scanner on a vehicle that is told from a shadow.
-_LEAST_BLIND_M = 1.5  # Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees.
-_NEXT_M = 10.0  # A vehicle is so near when it takes another scan: a third of a second at 30 m/s.
 
 
 def level_scans(xyz_m: Floats, scan: Ints) -> tuple[Floats, Floats]:
@@ -93,14 +90,6 @@ _ASKED_SCANS = 40
 # Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
 # centimetres, a kerb and a slope of 30 % across the cell.
 _LOW_M = 0.5
-# Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
-# drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips.
-_DENSER = 1.1
-# The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
-# strips and of whole drives that are one scan.
-_DENSEST = 0.55
-# Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner.
-_WIDEST_CELLS = 4_000_000
 
 
 def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str, float]:
@@ -132,6 +121,19 @@ def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str,
     _, sure = scanner_positions(np.concatenate(held_xyz), np.concatenate(held_scan))
     # A scan without a point near the ground is none that tells.
     return {"number": len(numbers), "blind_share": float(sure.sum() / len(asked))}
+
+
+_BLIND_M = 4.0  # Widest blind disc below a turning scanner on a vehicle that is told from a shadow.
+_LEAST_BLIND_M = 1.5  # Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees.
+_NEXT_M = 10.0  # A vehicle is so near when it takes another scan: a third of a second at 30 m/s.
+# Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
+# drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips.
+_DENSER = 1.1
+# The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
+# strips and of whole drives that are one scan.
+_DENSEST = 0.55
+# Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner.
+_WIDEST_CELLS = 4_000_000
 
 
 def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[Floats, Bools]:

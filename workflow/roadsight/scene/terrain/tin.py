@@ -147,12 +147,6 @@ def _outside(mesh: Delaunay, plan: Floats, longest_m: float) -> Bools:
 # Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
 # triangle.
 _LAST_SHARE = 0.9999
-
-# How much of the road ahead the terrain hides, estimated from a height model along sight lines.
-#
-# Cheap enough to decide whether the triangulated terrain is worth building: `scene.occlusion`
-# casts exact rays at it.
-
 # Sight lines end this much above the points: they would else meet the ground that these lie on.
 TOLERANCE_M = 0.15
 
@@ -211,37 +205,10 @@ def visible(
     return sight.visible(camera_m, points_m, tolerance_m)
 
 
-def hidden_share(
-    sight: TerrainSight,
-    cameras_m: ArrayLike,
-    heading_deg: ArrayLike,
-    edges_m: ArrayLike,
-    reach_m: float = 120.0,
-    half_angle_deg: float = 45.0,
-) -> float:
-    """Share of the road edge points ahead of the cameras that the terrain hides.
-
-    Parameters
-    ----------
-    cameras_m : (k, 3) local metres. heading_deg : (k,) clockwise from grid north.
-    edges_m : (n, 3) road edge points. reach_m : farther ones do not count.
-    half_angle_deg : only points within this of the heading count.
-
-    Returns
-    -------
-    share between 0 and 1; 0 where no camera has a road edge ahead.
-    """
-    edges = np.asarray(edges_m, np.float64).reshape(-1, 3)
-    hidden = total = 0
-    for camera, heading in zip(np.asarray(cameras_m), np.asarray(heading_deg), strict=True):
-        east, north = (edges[:, :2] - camera[:2]).T
-        turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
-        gap_m = np.hypot(east, north)
-        ahead = (gap_m <= reach_m) & (gap_m > 0) & (np.abs(turn) <= half_angle_deg)
-        seen = sight.visible(camera, edges[ahead])
-        hidden, total = hidden + int((~seen).sum()), total + len(seen)
-    return hidden / total if total else 0.0
-
+# How much of the road ahead the terrain hides, estimated from a height model along sight lines.
+#
+# Cheap enough to decide whether the triangulated terrain is worth building, at which
+# `TerrainSight` casts exact rays.
 
 # Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown.
 Height = Callable[[Floats, Floats], Floats]
