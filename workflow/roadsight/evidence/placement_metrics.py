@@ -196,12 +196,7 @@ def road_unclaimed(results: Results) -> float:
 
 
 def _claimed(results: Results, solution: dict) -> pd.DataFrame:
-    """Targets that the plan says are covered.
-
-    Raises
-    ------
-    InputError : the plan has a budget or prices, and does not list what it covers.
-    """
+    """Targets that the plan says are covered; one with a budget or prices does not list them."""
     targets = read_table(results.folder / "placement/targets.parquet")
     claimed = targets[~targets["target"].isin(solution["excluded"])]
     if len(claimed) != solution["covered_targets"]:

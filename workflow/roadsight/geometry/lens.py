@@ -49,11 +49,6 @@ class RadialLens:
         unit = 0.5 * float(np.hypot(width_px, height_px)) if scale_px is None else scale_px
         return cls(k1, k2, unit, (width_px - 1) / 2, (height_px - 1) / 2)
 
-    def with_scale(self, scale_px: float) -> RadialLens:
-        """The same lens with another unit of distance."""
-        ratio = (scale_px / self.scale_px) ** 2
-        return RadialLens(self.k1 * ratio, self.k2 * ratio**2, scale_px, self.cx_px, self.cy_px)
-
     @property
     def turning_radius(self) -> float:
         """Pinhole distance where the image turns back on itself, in units; infinite if nowhere."""

@@ -154,12 +154,7 @@ class RayScene:
 
 
 def _rays(origins_m: ArrayLike, directions: ArrayLike, limit: float) -> _Rays:
-    """Rays as compiled code takes them.
-
-    Raises
-    ------
-    ValueError : they have other shapes.
-    """
+    """Rays as compiled code takes them."""
     origins = np.ascontiguousarray(origins_m, np.float32)
     ways = np.ascontiguousarray(directions, np.float32)
     if not origins.shape[-1:] == ways.shape[-1:] == (3,) or origins.size not in (3, ways.size):
@@ -179,12 +174,7 @@ def _embree() -> ctypes.CDLL:
 
 @cache
 def _device() -> Address:
-    """Embree on one thread, for the whole process.
-
-    Raises
-    ------
-    ImportError : it is of another version, whose structures differ.
-    """
+    """Embree on one thread, for the whole process, of the version whose structures are filled."""
     embree = _embree()
     device = Address(embree.rtcNewDevice(b"threads=1"))
     found = embree.rtcGetDeviceProperty(device, _VERSION_MAJOR_PROPERTY)
