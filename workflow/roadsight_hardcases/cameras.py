@@ -17,8 +17,8 @@ from roadsight.poles.sightings.lidar_poles import stem_axis
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
 from roadsight_hardcases.case import Errors, hard_case
 
+# An ordinary camera of videologs: width and height px, focal length px.
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)
-"""An ordinary camera of videologs: width and height px, focal length px."""
 
 
 @hard_case("measure_poles", bound=0.5, unit="points in the image that are behind the camera")

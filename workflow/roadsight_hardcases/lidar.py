@@ -31,8 +31,7 @@ from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_planes import sum_moments
 from roadsight_hardcases.case import Errors, hard_case
 
-_AT = (0.0, 0.0, 0.0)
-"""Where the sensor stands, local metres."""
+_AT = (0.0, 0.0, 0.0)  # Where the sensor stands, local metres.
 
 
 def _sensor(**more: float) -> Sensor:

@@ -18,8 +18,8 @@ from roadsight.scene.pavement.fpfh import (
 )
 from roadsight_hardcases.case import Errors, fails, hard_case
 
+# Easting, northing and height of a place in UTM, m: there, single precision has steps of 0.5 m.
 _FAR = np.array([500_000.0, 6_543_000.0, 200.0])
-"""Easting, northing and height of a place in UTM, m: there, single precision has steps of 0.5 m."""
 
 
 def _road(

@@ -24,8 +24,8 @@ from roadsight.scene.terrain.tin import (
 from roadsight.scene.voxel_classes import VoxelGrid, add_runs, count_classes, settle
 from roadsight_hardcases.case import Errors, fails, hard_case
 
+# Easting and northing of a place in UTM, m: there, single precision has steps of 0.5 m.
 _FAR = np.array([632_000.0, 6_543_000.0, 0.0])
-"""Easting and northing of a place in UTM, m: there, single precision has steps of 0.5 m."""
 
 
 @hard_case("rasterise_lidar", bound=0.001, unit="share of points in another voxel")

@@ -16,6 +16,7 @@ from roadsight.poles.triangulate.rays import UNAIDED, cross_rays, make_rays, pai
 from roadsight_hardcases.case import Errors, fails, hard_case
 
 _GEOD = Geod(ellps="WGS84")
+# Settings for places and angles that are known well, without the calibration of depths.
 _FINE = UNAIDED.model_copy(
     update={
         "sigma_position_m": 0.1,
@@ -24,7 +25,6 @@ _FINE = UNAIDED.model_copy(
         "calibrate_depth": False,
     }
 )
-"""Settings for places and angles that are known well, without the calibration of depths."""
 
 
 @hard_case("measure_poles", bound=0.35, unit="share of the depth")

@@ -82,15 +82,12 @@ def bearings_around_north(rng: np.random.Generator) -> Errors:
         direction = np.degrees(np.arctan2(*place)) % 360
         naive += not abs(direction - bearing) <= 2 * 0.3
         unknown = np.array([np.nan])
+        fields = dict.fromkeys(PoleColumns.__dataclass_fields__, np.zeros(1))
+        columns = PoleColumns(**fields | {"xy_m": place[None], "sigma_m": np.array([0.02])})
         sighting = np.array([bearing]), np.array([0.3]), unknown, unknown
-        found = matching_columns(camera, _columns(place), *sighting, 60.0)
+        found = matching_columns(camera, columns, *sighting, 60.0)
         ours += found[0] != 0
     return naive, ours
-
-
-def _columns(place: Numbers) -> PoleColumns:
-    fields = dict.fromkeys(PoleColumns.__dataclass_fields__, np.zeros(1))
-    return PoleColumns(**fields | {"xy_m": place[None], "sigma_m": np.array([0.02])})
 
 
 @hard_case("align_cameras", bound=0.005, unit="share of points")

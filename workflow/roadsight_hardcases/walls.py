@@ -11,17 +11,14 @@ from roadsight.placement.sensors.rays import sensor_from_spherical
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight_hardcases.case import Errors, hard_case
 
-_NEAR_M = 10.0
-"""Way to the barrier's face."""
-_SIZE_M = 0.6, 0.9
-"""Thickness and height of the barrier."""
-_AT = np.array([0.0, 0.0, 5.0])
-"""Where the sensor stands, on a mast."""
+_NEAR_M = 10.0  # Way to the barrier's face.
+_SIZE_M = 0.6, 0.9  # Thickness and height of the barrier.
+_AT = np.array([0.0, 0.0, 5.0])  # Where the sensor stands, on a mast.
+# A sensor with the resolution of an OS1-128 that looks at the barrier.
 _SENSOR = {
     **{"elevation_min_deg": -30, "elevation_max_deg": -15, "channels": 43, "range_m": 120},
     **{"azimuth_min_deg": 58.32, "azimuth_max_deg": 121.68, "azimuth_step_deg": 0.352},
 }
-"""A sensor with the resolution of an OS1-128 that looks at the barrier."""
 _KNOWN = "voxels at the foot that hold both ground and wall carry no plane"
 
 

@@ -13,8 +13,8 @@ from roadsight.poles.images.kinds import PixelClass
 from roadsight_training.pasted_panels import with_panels
 from roadsight_training.samples import DEPTH_SCALE, Sample
 
+# Weights of blue, green and red in grey (ITU-R BT.601).
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
-"""Weights of blue, green and red in grey (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,12 @@ def with_camera_faults(colour: Bytes, rng: np.random.Generator) -> Bytes:
             rng.uniform(0.05, 0.4)
         )
     if rng.random() < 0.3:
-        pixels = _seen_coarsely(pixels, rng.uniform(1.2, 2.2))
+        # What a sensor of fewer pixels each way saw, enlarged.
+        factor = rng.uniform(1.2, 2.2)
+        height, width = pixels.shape[:2]
+        coarse = (max(round(width / factor), 1), max(round(height / factor), 1))
+        few = cv2.resize(pixels, coarse, interpolation=cv2.INTER_AREA)
+        pixels = cv2.resize(few, (width, height), interpolation=cv2.INTER_LINEAR)
     if rng.random() < 0.5:
         blurred = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.3, 1.3))
         # half of the cameras sharpen instead, which rings at edges
@@ -143,11 +148,3 @@ def with_camera_faults(colour: Bytes, rng: np.random.Generator) -> Bytes:
         decoded = cv2.imdecode(cv2.imencode(".jpg", finished, quality)[1], cv2.IMREAD_COLOR)
         finished = np.asarray(decoded, np.uint8)
     return finished
-
-
-def _seen_coarsely(pixels: NDArray, factor: float) -> NDArray:
-    """What a sensor of ``factor`` times fewer pixels each way saw, enlarged."""
-    rows, columns = pixels.shape[:2]
-    coarse = (max(round(columns / factor), 1), max(round(rows / factor), 1))
-    few = cv2.resize(pixels, coarse, interpolation=cv2.INTER_AREA)
-    return cv2.resize(few, (columns, rows), interpolation=cv2.INTER_LINEAR)

@@ -11,41 +11,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-_FILL_LEVELS = (1, 2, 3)
-"""Halvings of the map: blocks of 2, 4 and 8 cells."""
+from roadsight_training.networks import Convolution, Up
+
+_FILL_LEVELS = (1, 2, 3)  # Halvings of the map: blocks of 2, 4 and 8 cells.
+# Ranges that a cell chooses among: its own, and least and mean of 3 x 3 cells and of each block.
 _CANDIDATES = 3 + 2 * len(_FILL_LEVELS)
-"""Ranges that a cell chooses among: its own, and least and mean of 3 x 3 cells and of each
-block."""
+# Means over fewer returns a cell are none: bilinear enlarging leaves traces of them around.
 _LEAST_COUNT = 1e-3
-"""Means over fewer returns a cell are none: bilinear enlarging leaves traces of them around."""
-_LIMIT = 15.0
-"""Scores are cut here before their exponential, which single precision bears."""
-_LEAST_WEIGHT = 1e-7
-"""Divisor where no range lies around: less than the least weight, exp(-15)."""
-
-
-class _Convolution(nn.Sequential):
-    """Convolution, batch normalisation and rectifier; exported as one convolution."""
-
-    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
-        super().__init__(
-            nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True),
-        )
-
-
-class _Up(nn.Module):
-    """Doubles the coarse features' size, adds the fine ones and mixes them."""
-
-    def __init__(self, coarse: int, fine: int) -> None:
-        super().__init__()
-        self.fewer = nn.Conv2d(coarse, fine, 1)
-        self.mix = _Convolution(fine, fine)
-
-    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
-        doubled = functional.interpolate(self.fewer(coarse), scale_factor=2.0, mode="nearest")
-        return self.mix(doubled + fine)
+_LIMIT = 15.0  # Scores are cut here before their exponential, which single precision bears.
+_LEAST_WEIGHT = 1e-7  # Divisor where no range lies around: less than the least weight, exp(-15).
 
 
 class DepthUnet(nn.Module):
@@ -59,14 +33,14 @@ class DepthUnet(nn.Module):
     def __init__(self, widths: tuple[int, int, int] = (24, 40, 64)) -> None:
         super().__init__()
         half, quarter, eighth = widths
-        self.stem = nn.Sequential(_Convolution(8, half), _Convolution(half, half))
-        self.down = nn.Sequential(_Convolution(half, quarter, 2), _Convolution(quarter, quarter))
+        self.stem = nn.Sequential(Convolution(8, half), Convolution(half, half))
+        self.down = nn.Sequential(Convolution(half, quarter, 2), Convolution(quarter, quarter))
         self.deep = nn.Sequential(
-            _Convolution(quarter, eighth, 2),
-            _Convolution(eighth, eighth),
-            _Convolution(eighth, eighth, dilation=2),
+            Convolution(quarter, eighth, 2),
+            Convolution(eighth, eighth),
+            Convolution(eighth, eighth, dilation=2),
         )
-        self.up = nn.ModuleList([_Up(eighth, quarter), _Up(quarter, half)])
+        self.up = nn.ModuleList([Up(eighth, quarter, "nearest"), Up(quarter, half, "nearest")])
         self.head = nn.Conv2d(half, 4 * (_CANDIDATES + 2), 1)
 
     def forward(self, depth: Tensor) -> Tensor:

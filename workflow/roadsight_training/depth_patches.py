@@ -11,12 +11,9 @@ from roadsight.base.arrays import Floats32
 from roadsight.io.records.depth_maps import STEP_M, DepthPairs
 from roadsight.placement.depth.unet import normalised
 
-PATCH_CELLS = 56
-"""Side of a patch, as in the paper."""
-_TRIES = 8
-"""Places that are tried for a patch with returns; the last is taken as it is."""
-_LEAST_RETURNS = 0.02
-"""Share of cells that must return: empty patches teach nothing."""
+PATCH_CELLS = 56  # Side of a patch, as in the paper.
+_TRIES = 8  # Places that are tried for a patch with returns; the last is taken as it is.
+_LEAST_RETURNS = 0.02  # Share of cells that must return: empty patches teach nothing.
 
 
 class Patches(NamedTuple):

@@ -21,17 +21,13 @@ from roadsight_worlds.casting.simple_scenes import (
     wall_scene,
 )
 from roadsight_worlds.casting.terrain import height_at
-from roadsight_worlds.highway.highway import Highway, build_highway
+from roadsight_worlds.highway.highway import build_highway
 from roadsight_worlds.highway.mobile_scanner import scan
 
-_LENGTH_M = 80.0
-"""Of each generated highway."""
-_BESIDE_M = 0.5
-"""Sensors stand so far beside the pavement."""
-_NOISE_M = 0.01
-"""Range noise of the clouds of analytic scenes, one sigma."""
-_STOPS = 160
-"""Places that analytic scenes are scanned from."""
+_LENGTH_M = 80.0  # Of each generated highway.
+_BESIDE_M = 0.5  # Sensors stand so far beside the pavement.
+_NOISE_M = 0.01  # Range noise of the clouds of analytic scenes, one sigma.
+_STOPS = 160  # Places that analytic scenes are scanned from.
 
 
 @dataclass(frozen=True)
@@ -62,26 +58,33 @@ def highway_site(seed: int, poses: int) -> ScannedScene:
     highway = build_highway(seed, _LENGTH_M, radius_m, grade, tunnel=bool(rng.random() < 0.5))
     points = int(10 ** rng.uniform(5.6, 6.3))
     cloud = np.concatenate([part.xyz_m for part in scan(highway, points, rng)])
-    positions, yaws = _beside(highway, poses, rng)
-    return ScannedScene(cloud.astype(np.float32), highway.scene, positions, yaws)
-
-
-def _beside(highway: Highway, poses: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Places beside either edge of the pavement, facing it."""
+    # Beside either edge of the pavement, facing it.
     side = rng.choice([-1.0, 1.0], poses)
     station = rng.uniform(2.0, _LENGTH_M - 2.0, poses)
     offset = side * (highway.section.pavement_m[1] + _BESIDE_M)
     plan = to_plan(highway.alignment, np.column_stack([station, offset]))
     height = height_at(highway.terrain, plan) + rng.uniform(*HEIGHTS_M, poses)
-    yaw_deg = np.degrees(heading_at(highway.alignment, station)) - 90.0 * side
-    return np.column_stack([plan, height]), yaw_deg
+    yaws = np.degrees(heading_at(highway.alignment, station)) - 90.0 * side
+    positions = np.column_stack([plan, height])
+    return ScannedScene(cloud.astype(np.float32), highway.scene, positions, yaws)
 
 
 def simple_site(seed: int, poses: int) -> ScannedScene:
     """An analytic scene of random kind and size, scanned from a line of stops through it."""
     rng = np.random.default_rng([seed, 2])
     scene = _simple_scene(rng)
-    cloud = _scanned(scene, int(10 ** rng.uniform(5.5, 6.1)), rng)
+    # 1 cm noise, seen from stops along x, 2.5 m up: the rest is in shadow.
+    points = int(10 ** rng.uniform(5.5, 6.1))
+    stops_m = np.column_stack(
+        [rng.uniform(-40, 40, _STOPS), rng.uniform(-1, 1, _STOPS), np.full(_STOPS, 2.5)]
+    )
+    origins = stops_m[rng.integers(_STOPS, size=3 * points)]
+    away = rng.normal(size=(len(origins), 3)) * (1.0, 1.0, 0.4)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    range_m, _, _ = scene.cast(origins, away, 100.0)
+    hit = np.flatnonzero(np.isfinite(range_m))[:points]
+    measured_m = range_m[hit] + rng.normal(0.0, _NOISE_M, len(hit))
+    cloud = (origins[hit] + measured_m[:, None] * away[hit]).astype(np.float32)
     plan = np.column_stack([rng.uniform(-15, 5, poses), rng.uniform(-12, 12, poses)])
     positions = np.column_stack([plan, rng.uniform(*HEIGHTS_M, poses)])
     return ScannedScene(cloud, scene, positions, rng.uniform(-180, 180, poses))
@@ -102,17 +105,3 @@ def _simple_scene(rng: np.random.Generator) -> Scene:
     if kind == 4:
         return tunnel_scene(rng.uniform(20, 60), rng.uniform(5, 8))
     return hill_scene(rng.uniform(1, 4), rng.uniform(10, 30))
-
-
-def _scanned(scene: Scene, points: int, rng: np.random.Generator) -> Floats32:
-    """Points with 1 cm noise, seen from stops along x, 2.5 m up: the rest is in shadow."""
-    stops_m = np.column_stack(
-        [rng.uniform(-40, 40, _STOPS), rng.uniform(-1, 1, _STOPS), np.full(_STOPS, 2.5)]
-    )
-    origins = stops_m[rng.integers(_STOPS, size=3 * points)]
-    away = rng.normal(size=(len(origins), 3)) * (1.0, 1.0, 0.4)
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
-    range_m, _, _ = scene.cast(origins, away, 100.0)
-    hit = np.flatnonzero(np.isfinite(range_m))[:points]
-    measured_m = range_m[hit] + rng.normal(0.0, _NOISE_M, len(hit))
-    return (origins[hit] + measured_m[:, None] * away[hit]).astype(np.float32)

@@ -17,7 +17,7 @@ from roadsight.io.records.depth_maps import STEP_M, DepthPairs, digest, read_dat
 from roadsight.placement.depth.unet import fill_linearly, normalised, refined
 from roadsight.stages.command import Command
 from roadsight_training.depth_patches import PATCH_CELLS
-from roadsight_training.record import update_record
+from roadsight_training.samples import update_record
 
 log = logging.getLogger("evaluate_depth_network")
 
@@ -103,16 +103,15 @@ def evaluate_depth_network(
     for kind in sorted({name.partition("_")[0] for name in exact}):
         named = [name for name in exact if name.startswith(kind)]
         errors = judged([exact[n] for n in named], [hybrid[n] for n in named], network)
-        found[kind] = {way: _rounded(values) for way, values in errors.items()}
+        found[kind] = {
+            way: {name: round(value, 4) for name, value in values.items()}
+            for way, values in errors.items()
+        }
         found[kind]["pairs"] = pixel_errors([hybrid[n] for n in named], network)
         for way, values in found[kind].items():
             log.info("%s, %s: %s", kind, way, values)
     path = network_path
     update_record(path.with_name("training_record.json"), path.name, {"held_out": found})
-
-
-def _rounded(values: dict[str, float]) -> dict[str, float]:
-    return {name: round(value, 4) for name, value in values.items()}
 
 
 main = Command(evaluate_depth_network)

@@ -29,23 +29,17 @@ from roadsight_training.measures import (
     scores_by_class,
     true_poles,
 )
-from roadsight_training.record import update_record
-from roadsight_training.samples import DEPTH_SCALE, Sample, read_samples
+from roadsight_training.samples import DEPTH_SCALE, Sample, read_samples, update_record
 
 log = logging.getLogger("evaluate_networks")
-
+# Limits of the distances that poles are counted by.
 _BANDS_M = (0.0, 20.0, 40.0, 60.0, 100.0, np.inf)
-"""Limits of the distances that poles are counted by."""
-_NEAR_M = 40.0
-"""Borders and markings are judged up to here."""
+_NEAR_M = 40.0  # Borders and markings are judged up to here.
+# Depths whose ratio to the truth is below this are close (the usual measure of depth networks).
 _CLOSE = 1.25
-"""Depths whose ratio to the truth is below this are close (the usual measure of depth networks)."""
-_ENOUGH_PIXELS = 50
-"""Fewer pixels give no correlation."""
-_THINNING = 20
-"""Every twentieth pixel of the road is fitted; all of them would take longer."""
-_FOOT_SHARE = 1.0 / 6.0
-"""Lowest part of a pole, whose depth counts as the pole's."""
+_ENOUGH_PIXELS = 50  # Fewer pixels give no correlation.
+_THINNING = 20  # Every twentieth pixel of the road is fitted; all of them would take longer.
+_FOOT_SHARE = 1.0 / 6.0  # Lowest part of a pole, whose depth counts as the pole's.
 
 
 def evaluate_networks(
@@ -62,7 +56,15 @@ def evaluate_networks(
     for name, measure in (("road_classes", measure_classes), ("road_depth", measure_depth)):
         model = open_model(manifests / f"{name}.yaml")
         result: dict[str, Any] = measure(model, views)
-        result["cpu_s_per_768_x_512_image"] = round(_cost(model), 4)
+        # Least CPU seconds of one image in one thread.
+        image = np.random.default_rng(0).integers(0, 255, (512, 768, 3), np.uint8, endpoint=True)
+        tensor = tensor_of(image, model.manifest.input)
+        timings = []
+        for _ in range(7):
+            start = time.process_time()
+            model.session.run(list(model.output_names), {model.input_name: tensor})
+            timings.append(time.process_time() - start)
+        result["cpu_s_per_768_x_512_image"] = round(min(timings), 4)
         update_record(record, f"{name}.onnx", {"held_out": data | _rounded(result)})
         log.info("%s: %s", name, _rounded(result))
 
@@ -72,8 +74,10 @@ def measure_classes(model: Model, views: list[Sample]) -> dict[str, Any]:
     pixels = np.zeros((len(PixelClass),) * 2, np.int64)
     borders, markings, matches = [], [], []
     for view in views:
-        found = _mask(model, view)
-        depth_m = _depth_m(view)
+        outputs = _run(model, view.colour)
+        found = class_mask(outputs, model.manifest, view.classes.shape, model.where)
+        with np.errstate(divide="ignore"):  # infinite at the sky
+            depth_m = DEPTH_SCALE / view.depth.astype(np.float64)
         near = depth_m < _NEAR_M
         pixels += confusion(found, view.classes)
         borders.append(road_border_errors(found, view.classes, near))
@@ -81,6 +85,7 @@ def measure_classes(model: Model, views: list[Sample]) -> dict[str, Any]:
         matches.append(match_poles(found, view.classes, depth_m))
     sideways = np.concatenate([errors for errors, _, _ in markings])
     missed, invented = (sum(m[i] for m in markings) for i in (1, 2))
+    feet_px = np.concatenate([m.foot_px[m.hit] for m in matches])
     return {
         "classes": scores_by_class(pixels),
         "pixel_accuracy": float(np.trace(pixels) / pixels.sum()),
@@ -95,24 +100,13 @@ def measure_classes(model: Model, views: list[Sample]) -> dict[str, Any]:
             np.concatenate([m.hit for m in matches]),
             np.concatenate([m.false_m for m in matches]),
         ),
-        "pole_foot": _feet(np.concatenate([m.foot_px[m.hit] for m in matches])),
+        "pole_foot": dict(zip(("sideways", "down"), map(_spread, np.abs(feet_px.T)), strict=True)),
     }
-
-
-def _mask(model: Model, view: Sample) -> Bytes:
-    outputs = _run(model, view.colour)
-    return class_mask(outputs, model.manifest, view.classes.shape, model.where)
 
 
 def _run(model: Model, colour: Bytes) -> list[NDArray]:
     tensor = tensor_of(colour, model.manifest.input)
     return model.session.run(list(model.output_names), {model.input_name: tensor})
-
-
-def _depth_m(view: Sample) -> Floats:
-    """True depth, metres, infinite at the sky."""
-    with np.errstate(divide="ignore"):
-        return DEPTH_SCALE / view.depth.astype(np.float64)
 
 
 def _spread(errors: Floats) -> dict[str, float]:
@@ -123,10 +117,6 @@ def _spread(errors: Floats) -> dict[str, float]:
         "median_px": float(np.median(errors)),
         "percentile_90_px": float(np.percentile(errors, 90)),
     }
-
-
-def _feet(errors_px: Floats) -> dict[str, Any]:
-    return {"sideways": _spread(np.abs(errors_px[:, 0])), "down": _spread(np.abs(errors_px[:, 1]))}
 
 
 def _by_band(true_m: Floats, hit: Bools, false_m: Floats) -> dict[str, Any]:
@@ -158,23 +148,34 @@ def measure_depth(model: Model, views: list[Sample]) -> dict[str, Any]:
             inverse_depth(_run(model, view.colour), model.manifest), view.classes.shape
         )
         truth = view.depth / DEPTH_SCALE
-        parts = _parts(view, truth)
+        near, road = truth > 1.0 / 60.0, (PixelClass.ROAD, PixelClass.MARKING)
+        parts = {
+            "all": np.ones(truth.shape, bool),
+            "road": np.isin(view.classes, road) & near,
+            "pole": (view.classes == PixelClass.POLE) & near,
+            "road_and_pole": np.isin(view.classes, (*road, PixelClass.POLE)) & near,
+        }
         for name, part in parts.items():
             if np.count_nonzero(part) >= _ENOUGH_PIXELS:
                 agreement = correlation(found[part], truth[part])
                 rows.setdefault(f"correlation_{name}", []).append(agreement)
-        share = _share_close(found[truth > 0], truth[truth > 0])
+        below_sky = truth > 0
+        given, wanted = found[below_sky], truth[below_sky]
+        scale, offset = affine_fit(given, wanted)
+        ratio = np.maximum(scale * given + offset, 1e-6) / wanted
+        share = float(np.mean(np.maximum(ratio, 1.0 / ratio) < _CLOSE))
         rows.setdefault("share_within_1.25_after_fit_to_all", []).append(share)
         poles.append(_pole_depths(view, found, truth, parts["road"]))
-    result: dict[str, Any] = {name: _middle(values) for name, values in rows.items()}
+    result: dict[str, Any] = {}
+    for name, values in rows.items():
+        known = np.array(values)[np.isfinite(values)]
+        result[name] = {
+            "images": len(known),
+            "median": float(np.median(known)),
+            "percentile_10": float(np.percentile(known, 10)),
+        }
     true_m, found_m = np.concatenate(poles, axis=1)
     return result | {"pole_foot_depth_after_fit_to_road": _pole_errors(true_m, found_m)}
-
-
-def _share_close(found: Floats, truth: Floats) -> float:
-    scale, offset = affine_fit(found, truth)
-    ratio = np.maximum(scale * found + offset, 1e-6) / truth
-    return float(np.mean(np.maximum(ratio, 1.0 / ratio) < _CLOSE))
 
 
 def _pole_depths(view: Sample, found: Floats, truth: Floats, road: Bools) -> Floats:
@@ -200,28 +201,6 @@ def _resized(found: Floats32, shape: tuple[int, int]) -> Floats:
     return found[np.ix_(rows, columns)].astype(np.float64)
 
 
-def _parts(view: Sample, truth: Floats) -> dict[str, Bools]:
-    near = truth > 1.0 / 60.0
-    return {
-        "all": np.ones(truth.shape, bool),
-        "road": np.isin(view.classes, (PixelClass.ROAD, PixelClass.MARKING)) & near,
-        "pole": (view.classes == PixelClass.POLE) & near,
-        "road_and_pole": np.isin(
-            view.classes, (PixelClass.ROAD, PixelClass.MARKING, PixelClass.POLE)
-        )
-        & near,
-    }
-
-
-def _middle(values: list[float]) -> dict[str, float]:
-    known = np.array(values)[np.isfinite(values)]
-    return {
-        "images": len(known),
-        "median": float(np.median(known)),
-        "percentile_10": float(np.percentile(known, 10)),
-    }
-
-
 def _pole_errors(true_m: Floats, found_m: Floats) -> dict[str, Any]:
     """Relative error of the depth of the lowest sixth of poles, by true distance."""
     error = np.abs(found_m - true_m) / true_m
@@ -237,18 +216,6 @@ def _pole_errors(true_m: Floats, found_m: Floats) -> dict[str, Any]:
                 "percentile_90": float(np.percentile(error[known], 90)),
             }
     return result
-
-
-def _cost(model: Model, runs: int = 7) -> float:
-    """Least CPU seconds of one 768 x 512 image in one thread."""
-    image = np.random.default_rng(0).integers(0, 255, (512, 768, 3), np.uint8, endpoint=True)
-    tensor = tensor_of(image, model.manifest.input)
-    costs = []
-    for _ in range(runs):
-        start = time.process_time()
-        model.session.run(list(model.output_names), {model.input_name: tensor})
-        costs.append(time.process_time() - start)
-    return min(costs)
 
 
 def _rounded(value: Any) -> Any:

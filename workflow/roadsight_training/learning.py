@@ -16,10 +16,8 @@ from torch import nn
 from roadsight.base.seeds import SEED
 from roadsight.io.records.sources import sha256
 
-_WARM_UP = 0.05
-"""Share of the steps in which the learning rate rises."""
-_KEEP = 0.998
-"""Weight of the past in the running mean of the weights: some 500 steps."""
+_WARM_UP = 0.05  # Share of the steps in which the learning rate rises.
+_KEEP = 0.998  # Weight of the past in the running mean of the weights: some 500 steps.
 
 
 @dataclass(frozen=True)
@@ -69,20 +67,16 @@ def learn(
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
-        _keep(kept, network, min(_KEEP, (step + 1.0) / (step + 10.0)))
+        # The running mean moves towards the network; counters are copied.
+        share, new = min(_KEEP, (step + 1.0) / (step + 10.0)), network.state_dict()
+        with torch.no_grad():
+            for name, value in kept.state_dict().items():
+                if value.dtype.is_floating_point:
+                    value.lerp_(new[name], 1.0 - share)
+                else:
+                    value.copy_(new[name])
         watch(step, float(loss.detach()), kept)
     return kept
-
-
-def _keep(kept: nn.Module, network: nn.Module, share: float) -> None:
-    """Move the running mean towards the network; counters are copied."""
-    with torch.no_grad():
-        new = network.state_dict()
-        for name, value in kept.state_dict().items():
-            if value.dtype.is_floating_point:
-                value.lerp_(new[name], 1.0 - share)
-            else:
-                value.copy_(new[name])
 
 
 def facts_of(

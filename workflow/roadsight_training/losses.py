@@ -12,6 +12,7 @@ from torch.nn import functional
 from roadsight.base.arrays import Floats32
 from roadsight.poles.images.kinds import PixelClass
 
+# Others have 1. Kept small: larger weights widen thin objects, and their borders matter.
 CLASS_WEIGHTS = {
     PixelClass.ROAD: 1.5,
     PixelClass.MARKING: 2.0,
@@ -23,7 +24,8 @@ CLASS_WEIGHTS = {
     PixelClass.TREE: 0.8,
     PixelClass.VEGETATION: 0.8,
 }
-"""Others have 1. Kept small: larger weights widen thin objects, and their borders matter."""
+# Classes whose overlap counts beside each pixel (Dice): thin ones, the road, and cars, which boards
+# of signs are taken for.
 OVERLAP_CLASSES = (
     PixelClass.ROAD,
     PixelClass.MARKING,
@@ -33,22 +35,17 @@ OVERLAP_CLASSES = (
     PixelClass.GUARDRAIL,
     PixelClass.VEHICLE,
 )
-"""Classes whose overlap counts beside each pixel (Dice): thin ones, the road, and cars,
-which boards of signs are taken for."""
+# A sign of so many pixels or more counts by them, as all else does: 0.75 m across at 80 m in a view
+# of 20 degrees, 25 m in one of 60.
 _WHOLE_PX = 400.0
-"""A sign of so many pixels or more counts by them, as all else does: 0.75 m across at 80 m in a
-view of 20 degrees, 25 m in one of 60."""
+# By which the pixels of a small sign count more, so that one of 25 px counts as a fourth of one of
+# 400 px and not as a sixteenth: a map asks whether a sign is seen, not how large.
 _MOST_TIMES = 4.0
-"""By which the pixels of a small sign count more, so that one of 25 px counts as a fourth of one of
-400 px and not as a sixteenth: a map asks whether a sign is seen, not how large."""
-_LEAST_SPREAD = 1e-3
-"""Least divisor, for images of one depth."""
-_NEARNESS_FLOOR = 0.3
-"""Keeps the weight of the farthest pixels finite."""
+_LEAST_SPREAD = 1e-3  # Least divisor, for images of one depth.
+_NEARNESS_FLOOR = 0.3  # Keeps the weight of the farthest pixels finite.
+# Others have 1: poles have few pixels, and the road is what metres are fitted to.
 _DEPTH_WEIGHTS = {PixelClass.POLE: 12.0, PixelClass.ROAD: 1.5, PixelClass.MARKING: 1.5}
-"""Others have 1: poles have few pixels, and the road is what metres are fitted to."""
-_STEP_SHARE = 0.2
-"""Weight of the error's steps, which keep the edges of objects."""
+_STEP_SHARE = 0.2  # Weight of the error's steps, which keep the edges of objects.
 
 
 def classes_loss(logits: Tensor, classes: Tensor) -> Tensor:
@@ -106,13 +103,9 @@ def depth_loss(found: Tensor, inverse_depth: Tensor, classes: Tensor) -> Tensor:
     weights = weights / weights.mean(dim=(1, 2), keepdim=True)
     error = own - truth
     plain = (weights * error.abs()).mean() + 0.1 * (weights * (found - truth).abs()).mean()
-    return plain + _STEP_SHARE * _step_loss(error)
-
-
-def _step_loss(error: Tensor) -> Tensor:
-    """Mean change of the error between neighbours, at four sizes: keeps the edges of objects."""
+    # Mean change of the error between neighbours, at four sizes: keeps the edges of objects.
     lost = error.new_zeros(())
     for step in (1, 2, 4, 8):
         thinned = error[:, ::step, ::step]
         lost = lost + thinned.diff(dim=1).abs().mean() + thinned.diff(dim=2).abs().mean()
-    return lost / 4.0
+    return plain + _STEP_SHARE * (lost / 4.0)

@@ -11,12 +11,10 @@ from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import Instance, find_instances
 
+# What lies beside the road where its border is judged.
 _BORDER_OF = (PixelClass.OTHER, PixelClass.VEGETATION)
-"""What lies beside the road where its border is judged."""
-_FAR_PX = 10.0
-"""Errors are cut here; a marking further from any other is missed or invented."""
-_SHARED_HEIGHT = 0.4
-"""Two poles may be the same if they share this part of their height together."""
+_FAR_PX = 10.0  # Errors are cut here; a marking further from any other is missed or invented.
+_SHARED_HEIGHT = 0.4  # Two poles may be the same if they share this part of their height together.
 
 
 def confusion(found: Bytes, truth: Bytes, classes: int = len(PixelClass)) -> Ints:

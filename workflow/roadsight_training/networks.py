@@ -6,25 +6,22 @@ and the mean of the whole image for context, and decoders that add what each siz
 
 from __future__ import annotations
 
+from typing import Literal
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-CLASSES = 13
-"""Number of `PixelClass`, which the network's file fixes."""
-MULTIPLE_PX = 16
-"""Both sides of the input are multiples of this."""
+CLASSES = 13  # Number of `PixelClass`, which the network's file fixes.
+MULTIPLE_PX = 16  # Both sides of the input are multiples of this.
 
 
-class _Convolution(nn.Sequential):
-    """Convolution, batch normalisation and rectifier; exported as one convolution."""
+class Convolution(nn.Sequential):
+    """Convolution of 3 x 3, batch normalisation and rectifier; exported as one convolution."""
 
-    def __init__(
-        self, inputs: int, outputs: int, size: int = 3, stride: int = 1, dilation: int = 1
-    ) -> None:
-        padding = dilation * (size // 2)
+    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
         super().__init__(
-            nn.Conv2d(inputs, outputs, size, stride, padding, dilation, bias=False),
+            nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False),
             nn.BatchNorm2d(outputs),
             nn.ReLU(inplace=True),
         )
@@ -35,7 +32,7 @@ class _Residual(nn.Module):
 
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
-        self.convolution = _Convolution(channels, channels, dilation=dilation)
+        self.convolution = Convolution(channels, channels, dilation=dilation)
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.convolution(x)
@@ -54,25 +51,22 @@ class _Context(nn.Module):
         return x + self.outer(functional.relu(self.inner(mean)))
 
 
-class _Up(nn.Module):
+class Up(nn.Module):
     """Doubles the coarse features' size, adds the fine ones and mixes them."""
 
-    def __init__(self, coarse: int, fine: int) -> None:
+    def __init__(self, coarse: int, fine: int, mode: Literal["nearest", "bilinear"]) -> None:
         super().__init__()
+        self.mode = mode
         self.fewer = nn.Conv2d(coarse, fine, 1)
-        self.mix = _Convolution(fine, fine)
+        self.mix = Convolution(fine, fine)
 
     def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        """Features of the size of the fine ones."""
+        corners = False if self.mode == "bilinear" else None
         doubled = functional.interpolate(
-            self.fewer(coarse), scale_factor=2.0, mode="bilinear", align_corners=False
+            self.fewer(coarse), scale_factor=2.0, mode=self.mode, align_corners=corners
         )
         return self.mix(doubled + fine)
-
-
-def _stage(inputs: int, outputs: int, dilations: tuple[int, ...]) -> nn.Sequential:
-    """Halve the size, then residual convolutions."""
-    residuals = [_Residual(outputs, dilation) for dilation in dilations]
-    return nn.Sequential(_Convolution(inputs, outputs, stride=2), *residuals)
 
 
 class _Trunk(nn.Module):
@@ -82,12 +76,13 @@ class _Trunk(nn.Module):
         self, inputs: int, widths: tuple[int, int, int, int], dilations: tuple[tuple[int, ...], ...]
     ) -> None:
         super().__init__()
-        self.down = nn.ModuleList(
-            _stage(finer, outputs, steps)
-            for finer, outputs, steps in zip((inputs, *widths), widths, dilations, strict=False)
-        )
+        self.down = nn.ModuleList()
+        for finer, outputs, steps in zip((inputs, *widths), widths, dilations, strict=False):
+            # Halve the size, then residual convolutions.
+            residuals = [_Residual(outputs, dilation) for dilation in steps]
+            self.down.append(nn.Sequential(Convolution(finer, outputs, stride=2), *residuals))
         self.context = _Context(widths[3])
-        self.up = nn.ModuleList(_Up(widths[i + 1], widths[i]) for i in (2, 1, 0))
+        self.up = nn.ModuleList(Up(widths[i + 1], widths[i], "bilinear") for i in (2, 1, 0))
 
     def features(self, x: Tensor, ups: int) -> Tensor:
         """After the first ``ups`` doublings: at 1/16 of the image's size times 2 ** ups."""

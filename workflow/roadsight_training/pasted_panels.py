@@ -10,12 +10,11 @@ import numpy as np
 from roadsight.base.arrays import Bytes, Floats, Floats32
 from roadsight.poles.images.kinds import PixelClass
 
-_FINER = 4
-"""Sub-pixels of a pixel each way, so that edges are mixed as a camera mixes them."""
+_FINER = 4  # Sub-pixels of a pixel each way, so that edges are mixed as a camera mixes them.
+# Of panels seen from before: 0.75 m at 270 m and at 36 m in a view of 20 degrees, 768 px wide.
 _ACROSS_PX = (6.0, 45.0)
-"""Of panels seen from before: 0.75 m at 270 m and at 36 m in a view of 20 degrees, 768 px wide."""
-_FOOT_ON = (PixelClass.VEGETATION, PixelClass.OTHER)
-"""Posts stand on grass and on shoulders."""
+_FOOT_ON = (PixelClass.VEGETATION, PixelClass.OTHER)  # Posts stand on grass and on shoulders.
+# Reflectances of the sheets of signs, those of the renderer and the other usual ones.
 _HUES_BGR = np.array(
     [
         [0.8, 0.8, 0.8],  # white
@@ -28,14 +27,11 @@ _HUES_BGR = np.array(
         [0.02, 0.02, 0.02],  # black
     ]
 )
-"""Reflectances of the sheets of signs, those of the renderer and the other usual ones."""
-_METAL = np.array([0.4, 0.4, 0.39])
-"""Of backs and steel posts."""
+_METAL = np.array([0.4, 0.4, 0.39])  # Of backs and steel posts.
 _WOOD = np.array([0.16, 0.2, 0.25])
-_GAMMA = 1.0 / 2.2
-"""From light to the values of an image."""
+_GAMMA = 1.0 / 2.2  # From light to the values of an image.
+# Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles.
 _CORNERS = (3, 4, 6, 8, 16)
-"""Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles."""
 
 
 def with_panels(

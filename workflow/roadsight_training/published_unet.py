@@ -27,11 +27,10 @@ from torch import Tensor, nn
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthPairs
 
-FILTERS = 16
-"""At the first level; doubled by each of the two poolings."""
+FILTERS = 16  # At the first level; doubled by each of the two poolings.
+# Of the pairs to train on, to validate by and to test by: 423,353, 90,718 and 90,718 of the paper's
+# 604,789.
 SHARES = (0.70, 0.15, 0.15)
-"""Of the pairs to train on, to validate by and to test by: 423,353, 90,718 and 90,718 of the
-paper's 604,789."""
 
 
 class PublishedUnet(nn.Module):

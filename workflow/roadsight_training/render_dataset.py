@@ -11,14 +11,12 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.run import RuralScene
 from roadsight.stages.command import Command
 from roadsight_training.samples import Sample, write_sample
-from roadsight_worlds.rendering.rendering_training import random_training_views
+from roadsight_worlds.rendering.rendering_look import random_training_views
 
 log = logging.getLogger("render_dataset")
-
+# Width and height of the views of even and of odd seeds: those of the sample's two cameras.
 _SIZES_PX = ((640, 416), (768, 512))
-"""Width and height of the views of even and of odd seeds: those of the sample's two cameras."""
-_SITE_LENGTH_M = 500.0
-"""Of each generated site."""
+_SITE_LENGTH_M = 500.0  # Of each generated site.
 
 
 def render_dataset(

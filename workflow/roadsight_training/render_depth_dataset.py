@@ -18,7 +18,7 @@ from roadsight.io.records.depth_maps import stack_pairs, write_pairs
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import training_sensor
 from roadsight.stages.command import Command
-from roadsight_training.depth_scenes import ScannedScene, highway_site, simple_site
+from roadsight_training.depth_scenes import highway_site, simple_site
 
 log = logging.getLogger("render_depth_dataset")
 
@@ -40,21 +40,19 @@ def render_depth_dataset(
     for kind, count in (("highway", highways), ("simple", simple)):
         for seed in range(first_seed, first_seed + count):
             site = _KINDS[kind](seed, poses)
-            _write(site, seed, out / f"{kind}_{seed}", span_deg)
+            rng = np.random.default_rng([seed, 3])
+            pairs: dict[str, list] = {truth: [] for truth in TRUTHS}
+            for k, (position, yaw_deg) in enumerate(
+                zip(site.positions_m, site.yaws_deg, strict=True)
+            ):
+                sensor = training_sensor(rng, span_deg)
+                seen = site.cloud_m, sensor, position, float(yaw_deg)
+                preliminary = preliminary_depth(*seen)
+                pairs["hybrid"].append((preliminary, hybrid_depth(*seen)))
+                pairs["exact"].append((preliminary, site.exact(sensor, k)))
+            for truth, maps in pairs.items():
+                write_pairs(out / f"{kind}_{seed}.{truth}.npz", stack_pairs(maps))
             log.info("%s %d: %d points", kind, seed, len(site.cloud_m))
-
-
-def _write(site: ScannedScene, seed: int, stem: Path, span_deg: float) -> None:
-    rng = np.random.default_rng([seed, 3])
-    pairs: dict[str, list] = {truth: [] for truth in TRUTHS}
-    for number, (position, yaw_deg) in enumerate(zip(site.positions_m, site.yaws_deg, strict=True)):
-        sensor = training_sensor(rng, span_deg)
-        seen = site.cloud_m, sensor, position, float(yaw_deg)
-        preliminary = preliminary_depth(*seen)
-        pairs["hybrid"].append((preliminary, hybrid_depth(*seen)))
-        pairs["exact"].append((preliminary, site.exact(sensor, number)))
-    for truth, maps in pairs.items():
-        write_pairs(f"{stem}.{truth}.npz", stack_pairs(maps))
 
 
 main = Command(render_depth_dataset)

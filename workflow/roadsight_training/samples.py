@@ -1,12 +1,17 @@
-"""Training samples on disk: an image, its classes and its inverse depth, one PNG each."""
+"""Training samples on disk, one PNG each of image, classes and inverse depth; and the record.
+
+The record says how each network was trained and how well it does.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,8 +20,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 
-DEPTH_SCALE = 65535.0
-"""Stored inverse depth is this over the depth in metres; 0 is the sky."""
+DEPTH_SCALE = 65535.0  # Stored inverse depth is this over the depth in metres; 0 is the sky.
 _PARTS = ("colour", "classes", "depth")
 
 
@@ -65,7 +69,13 @@ def read_samples(
             )
         for name in names:
             stem = Path(folder) / name.removesuffix(".depth.png")
-            yield seed, Sample(*(_read(f"{stem}.{part}.png") for part in _PARTS))
+            parts = []
+            for path in (f"{stem}.{part}.png" for part in _PARTS):
+                pixels = cv2.imread(path, cv2.IMREAD_UNCHANGED)
+                if pixels is None:
+                    raise InputError("cannot be read as an image", where=path)
+                parts.append(pixels)
+            yield seed, Sample(*parts)
 
 
 def digest(samples: Iterable[Sample]) -> str:
@@ -79,8 +89,18 @@ def digest(samples: Iterable[Sample]) -> str:
     return found.hexdigest()
 
 
-def _read(path: str) -> NDArray:
-    pixels = cv2.imread(path, cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise InputError("cannot be read as an image", where=path)
-    return pixels
+def read_entry(path: str | os.PathLike[str], file: str) -> dict[str, Any]:
+    """What the record says about ``file``; nothing if there is no record."""
+    entry: dict[str, Any] = {}
+    if Path(path).exists():
+        entry = json.loads(Path(path).read_text()).get(file, {})
+    return entry
+
+
+def update_record(path: str | os.PathLike[str], file: str, entry: dict[str, Any]) -> None:
+    """Put the keys of ``entry`` into the record's part about ``file``, keeping its others."""
+    record = json.loads(Path(path).read_text()) if Path(path).exists() else {}
+    record[file] = record.get(file, {}) | entry
+    unfinished = Path(path).with_name(f".{Path(path).name}")
+    unfinished.write_text(json.dumps(record, indent=2, sort_keys=True) + "\n")
+    unfinished.replace(path)

@@ -27,7 +27,7 @@ from roadsight.io.records.depth_maps import DepthPairs, digest, read_dataset
 from roadsight.placement.depth.unet import MULTIPLE_CELLS, STEP_DEG
 from roadsight.stages.command import Command
 from roadsight_training.depth_network import DepthUnet, depth_loss
-from roadsight_training.depth_patches import PATCH_CELLS, Patches, random_patches
+from roadsight_training.depth_patches import PATCH_CELLS, random_patches
 from roadsight_training.evaluate_depth_network import pixel_errors
 from roadsight_training.export import export_network
 from roadsight_training.learning import Schedule, facts_of, learn
@@ -38,12 +38,10 @@ from roadsight_training.published_unet import (
     regression_loss,
     split_pairs,
 )
-from roadsight_training.record import update_record
+from roadsight_training.samples import update_record
 
 log = logging.getLogger("train_depth_network")
-
-_LOG_EVERY = 100
-"""Steps between two lines of the log."""
+_LOG_EVERY = 100  # Steps between two lines of the log.
 
 
 def train(
@@ -66,17 +64,14 @@ def train(
     network = build().to(memory_format=torch.channels_last).train()
 
     def loss_of(rng: np.random.Generator) -> torch.Tensor:
-        return _loss(network, random_patches(dataset, schedule.batch, rng))
+        patches = random_patches(dataset, schedule.batch, rng)
+        preliminary, refined, scale_m = (torch.from_numpy(part) for part in patches)
+        output = network(preliminary.contiguous(memory_format=torch.channels_last))
+        if isinstance(network, PublishedUnet):
+            return regression_loss(output, refined)
+        return depth_loss(output, refined, scale_m)
 
     return learn(network, schedule, loss_of, watch)
-
-
-def _loss(network: nn.Module, patches: Patches) -> torch.Tensor:
-    preliminary, refined, scale_m = (torch.from_numpy(part) for part in patches)
-    output = network(preliminary.contiguous(memory_format=torch.channels_last))
-    if isinstance(network, PublishedUnet):
-        return regression_loss(output, refined)
-    return depth_loss(output, refined, scale_m)
 
 
 @dataclass(frozen=True)

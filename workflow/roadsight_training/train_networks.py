@@ -22,18 +22,14 @@ from roadsight.base.seeds import SEED
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.stages.command import Command
 from roadsight_training.augment import Batch, Crops, random_batch
-from roadsight_training.export import export_network
+from roadsight_training.export import export_network, start_from
 from roadsight_training.learning import Schedule, facts_of, learn
 from roadsight_training.losses import classes_loss, depth_loss
 from roadsight_training.networks import MULTIPLE_PX, RoadClasses, RoadDepth, seeded
-from roadsight_training.record import read_entry, update_record
-from roadsight_training.restart import start_from
-from roadsight_training.samples import Sample, digest, read_samples
+from roadsight_training.samples import Sample, digest, read_entry, read_samples, update_record
 
 log = logging.getLogger("train_networks")
-
-_LOG_EVERY = 50
-"""Steps between two lines of the log."""
+_LOG_EVERY = 50  # Steps between two lines of the log.
 
 
 @dataclass(frozen=True)
@@ -63,6 +59,7 @@ def _loss_of_depth(output: Tensor, batch: Batch) -> Tensor:
     return depth_loss(output[:, 0], truth, classes)
 
 
+# Where crops for the classes are placed.
 _RARE = (
     PixelClass.POLE,
     PixelClass.MARKING,
@@ -73,8 +70,7 @@ _RARE = (
     PixelClass.BUILDING,
     PixelClass.VEHICLE,
 )
-"""Where crops for the classes are placed."""
-
+# Depth sees most of a view at once, because where the ground lies tells how far it is.
 TASKS = {
     "classes": Task(
         RoadClasses, _loss_of_classes, Crops(wanted=_RARE), 8, "road_classes.onnx", "logits"
@@ -88,7 +84,6 @@ TASKS = {
         "inverse_depth",
     ),
 }
-"""Depth sees most of a view at once, because where the ground lies tells how far it is."""
 
 
 def train(
@@ -152,7 +147,14 @@ def train_networks(given: Training) -> None:
     if given.steps < 1:
         raise InputError("--steps must be 1 or more", found=given.steps)
     torch.set_num_threads(given.threads)
-    task = _task(given)
+    task = TASKS[given.network]
+    height_px, width_px = given.crop_px or (task.crops.height_px, task.crops.width_px)
+    if height_px % MULTIPLE_PX or width_px % MULTIPLE_PX or min(height_px, width_px) < 1:
+        raise InputError(
+            f"--crop-px must be multiples of {MULTIPLE_PX}", found=f"{height_px} {width_px}"
+        )
+    crops = replace(task.crops, height_px=height_px, width_px=width_px, panels=given.panels)
+    task = replace(task, crops=crops, batch=given.batch or task.batch)
     schedule = Schedule(given.steps, task.batch, given.rate, given.seed)
     path = given.out / task.file
     samples = [s for _, s in read_samples(given.data, given.first_seed, given.sites)]
@@ -182,18 +184,6 @@ def _watch(
             export_network(copy.deepcopy(kept), path, task.output)
 
     return watch
-
-
-def _task(given: Training) -> Task:
-    """The network's task, with another size and number of crops if they are given."""
-    task = TASKS[given.network]
-    height_px, width_px = given.crop_px or (task.crops.height_px, task.crops.width_px)
-    if height_px % MULTIPLE_PX or width_px % MULTIPLE_PX or min(height_px, width_px) < 1:
-        raise InputError(
-            f"--crop-px must be multiples of {MULTIPLE_PX}", found=f"{height_px} {width_px}"
-        )
-    crops = replace(task.crops, height_px=height_px, width_px=width_px, panels=given.panels)
-    return replace(task, crops=crops, batch=given.batch or task.batch)
 
 
 def _entry(

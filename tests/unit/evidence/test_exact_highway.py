@@ -14,8 +14,8 @@ from roadsight.stages.evidence.measure_precision import (
     normals_of,
     stored,
 )
+from roadsight_worlds.casting.terrain import height_at
 from roadsight_worlds.highway.highway import build_highway
-from roadsight_worlds.highway.truth import surface_at
 
 SENSOR = Sensor(azimuth_step_deg=10, elevations_deg=(-60, -30, -5), range_m=40)
 
@@ -39,7 +39,7 @@ def above_the_road(exact: ExactHighway) -> np.ndarray:
 def test_heights_are_those_of_the_road(exact: ExactHighway) -> None:
     highway = build_highway(1, 60.0)
     xy_m, height_m = exact.road_heights(2.0)
-    classes, surface_m = surface_at(highway, xy_m)
+    classes, surface_m = highway.ground_classes(xy_m), height_at(highway.terrain, xy_m)
     assert height_m == pytest.approx(surface_m)
     assert len(set(classes)) == 1
 

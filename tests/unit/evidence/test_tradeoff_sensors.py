@@ -15,7 +15,7 @@ from roadsight.base.sections.run import Sample
 from roadsight.config.schema import Settings
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.evidence.metrics import METRICS
-from roadsight.evidence.results import Results
+from roadsight.evidence.placement_metrics import Results
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.placement.sensors.sensors import AimedSensor, Sensor, load_sensors

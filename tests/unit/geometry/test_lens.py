@@ -77,15 +77,6 @@ def test_nothing_is_shown_beyond_the_fold():
     assert np.isnan(lens.distort([[beyond, lens.cy_px]])).all()
 
 
-@given(st.floats(-0.2, 0.3), st.floats(-0.02, 0.02), st.floats(100, 4000))
-def test_the_unit_of_distance_does_not_matter(k1, k2, scale_px):
-    lens = RadialLens.centred(k1, k2, *SIZE)
-    uv = pixels(np.random.default_rng(2), 50)
-    np.testing.assert_allclose(
-        lens.with_scale(scale_px).undistort(uv), lens.undistort(uv), atol=1e-6
-    )
-
-
 def test_no_distortion_changes_nothing_and_the_centre_stays(rng):
     uv = pixels(rng, 100, margin=2000.0)
     np.testing.assert_allclose(RadialLens(0, 0, 381.0, 0.0, 0.0).undistort(uv), uv, rtol=1e-14)

@@ -19,7 +19,6 @@ from roadsight.scene.terrain.tin import (
     TerrainSight,
     add_cells,
     cell_means,
-    hidden_share,
     sum_cells,
     triangulate,
     visible,
@@ -76,14 +75,6 @@ def test_surface_does_not_hide_itself_and_a_crest_does():
     assert visible(ridge, [0.5, 0.0, 2.5], np.add(road, [0, 0, 30.0])).all()
     assert not visible(ridge, [0.5, 0.0, 2.5], [[np.nan, 0, 0]]).any()
     assert ridge.visible([0, 0, 1], np.empty((0, 3))).shape == (0,)
-    share = hidden_share(ridge, [[0.5, 0.0, 2.5], [100.0, 0.0, 2.5]], [90.0, 90.0], road)
-    ahead = (road[:, 0] < 120.5) & (np.abs(road[:, 1]) < road[:, 0] - 0.5)
-    second = (road[:, 0] > 100) & (np.abs(road[:, 1]) < road[:, 0] - 100)
-    near = np.hypot(road[:, 0] - 0.5, road[:, 1]) <= 120
-    first = ahead & near
-    expected = (first & ~seen).sum() / (first.sum() + second.sum())
-    assert share == pytest.approx(expected, abs=0.005) and share > 0.3
-    assert hidden_share(ridge, [[100.0, 0.0, 2.5]], [270.0], road[road[:, 0] > 110]) == 0.0
 
 
 def test_no_terrain_hides_nothing():

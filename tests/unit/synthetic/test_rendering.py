@@ -10,8 +10,7 @@ from roadsight.poles.images.kinds import PixelClass
 from roadsight_worlds.casting import primitives
 from roadsight_worlds.rendering import rendering_noise
 from roadsight_worlds.rendering.images import Camera, Finish, RuralRenderer
-from roadsight_worlds.rendering.rendering_look import drive_look, random_look
-from roadsight_worlds.rendering.rendering_training import random_training_views
+from roadsight_worlds.rendering.rendering_look import drive_look, random_look, random_training_views
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import MeshBuilder
 from roadsight_worlds.rural.rural_road import build_rural

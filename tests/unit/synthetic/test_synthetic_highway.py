@@ -14,7 +14,7 @@ from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass
 from roadsight_worlds.casting.terrain import height_at
 from roadsight_worlds.highway.highway import build_highway
 from roadsight_worlds.highway.highway_ground import CrossSection, is_marking
-from roadsight_worlds.highway.truth import digitised_edges, sample_scene, surface_at, truth_layers
+from roadsight_worlds.highway.truth import digitised_edges, truth_layers
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_pavement_is_smooth_and_the_rest_is_rough(site, rng):
 def test_classes_and_materials_follow_the_offset(site):
     road = [[10.0, o] for o in (0.0, 0.99, 1.01, 5.0, 9.25, 11.74, 11.76, -5.0, -20.0)]
     xy = to_plan(site.alignment, road)
-    classes, heights = surface_at(site, xy)
+    classes, heights = site.ground_classes(xy), height_at(site.terrain, xy)
     assert list(classes) == [2, 2, 11, 11, 11, 11, 2, 11, 2]
     assert np.isfinite(heights).all()
     names = [MATERIAL_NAMES[code] for code in site.ground_materials(xy)]
@@ -105,8 +105,7 @@ def test_barrier_tunnel_and_cars_stand_where_they_should(site):
     assert heights[3] == pytest.approx(7.8, abs=0.02)
     car = 0.26 * site.tunnel_start_m, -10.55
     assert down_from(site, [car])[1] == ["car"]
-    shadow_free = surface_at(site, to_plan(site.alignment, [car]))
-    assert shadow_free[0][0] == TruthClass.ROAD
+    assert site.ground_classes(to_plan(site.alignment, [car]))[0] == TruthClass.ROAD
 
 
 def test_the_tunnel_is_high_and_wide_enough(site):
@@ -157,7 +156,7 @@ def test_the_same_seed_gives_the_same_site_and_another_another():
     np.testing.assert_array_equal(first.terrain.coefficient_m, again.terrain.coefficient_m)
     np.testing.assert_array_equal(first.scene.bodies.centre_m, again.scene.bodies.centre_m)
     assert not np.array_equal(first.terrain.coefficient_m, other.terrain.coefficient_m)
-    scene = sample_scene(5, 50.0)
+    scene = build_highway(5, 50.0).scene
     np.testing.assert_array_equal(scene.bodies.centre_m, first.scene.bodies.centre_m)
 
 
@@ -191,7 +190,7 @@ def test_points_inside_the_true_pavement_are_road(site, layers, rng):
     xy = to_plan(site.alignment, road)
     inside = shapely.contains_xy(layers["pavement"].union_all(), *xy.T)
     near_edge = np.min(np.abs(np.abs(road[:, 1:]) - [1.0, 11.75]), axis=1) < 1e-3
-    agree = inside == (surface_at(site, xy)[0] == TruthClass.ROAD)
+    agree = inside == (site.ground_classes(xy) == TruthClass.ROAD)
     assert agree[~near_edge].all()
 
 

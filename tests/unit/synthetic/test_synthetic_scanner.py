@@ -15,7 +15,6 @@ from roadsight_worlds.highway.airborne_survey import survey
 from roadsight_worlds.highway.highway import build_highway
 from roadsight_worlds.highway.mobile_scanner import MobileScanner, pulses, scan, sweeps_of
 from roadsight_worlds.highway.returns import LaserModel, measure
-from roadsight_worlds.highway.truth import surface_at
 
 POINTS = 150_000
 
@@ -47,7 +46,7 @@ def test_road_points_lie_on_the_road_within_the_noise(site, cloud):
     residual = residual[np.isfinite(residual)]
     assert 0.003 < residual.std() < 0.012
     assert np.abs(residual).max() < 0.06
-    classes = surface_at(site, road[:, :2])[0]
+    classes = site.ground_classes(road[:, :2])
     assert (classes == TruthClass.ROAD).mean() > 0.998
 
 

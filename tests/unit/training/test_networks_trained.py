@@ -16,7 +16,7 @@ from roadsight.poles.images.networks import (
     packed_depth,
     tensor_of,
 )
-from roadsight_worlds.rendering.rendering_training import random_training_view
+from roadsight_worlds.rendering.rendering_look import random_training_views
 from tests.conftest import PROJECT
 
 RESOURCES = PROJECT / "resources"
@@ -25,7 +25,7 @@ HELD_OUT_SEED = 912
 
 @cache
 def held_out_view():
-    return random_training_view(HELD_OUT_SEED, 640, 416)
+    return next(random_training_views(HELD_OUT_SEED, 1, 640, 416, 200.0))
 
 
 @cache

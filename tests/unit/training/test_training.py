@@ -17,8 +17,14 @@ from roadsight_training.measures import (
     scores_by_class,
 )
 from roadsight_training.pasted_panels import with_panels
-from roadsight_training.record import update_record
-from roadsight_training.samples import DEPTH_SCALE, Sample, digest, read_samples, write_sample
+from roadsight_training.samples import (
+    DEPTH_SCALE,
+    Sample,
+    digest,
+    read_samples,
+    update_record,
+    write_sample,
+)
 
 NEAR = np.ones((60, 80), bool)
 
@@ -200,9 +206,8 @@ class TestTraining:
     @pytest.mark.parametrize("kind", ["classes", "depth"])
     def test_training_can_go_on_from_a_file(self, kind, tmp_path):
         pytest.importorskip("onnx")
-        from roadsight_training.export import export_network
+        from roadsight_training.export import export_network, start_from
         from roadsight_training.networks import seeded
-        from roadsight_training.restart import start_from
 
         network, _ = self.trained(kind)
         export_network(network, tmp_path / "first.onnx", "output")

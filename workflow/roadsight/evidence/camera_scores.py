@@ -10,16 +10,13 @@ import pandas as pd
 from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 
-YAW_DEG = 0.1
-"""Largest error of heading of a camera that counts as right."""
+YAW_DEG = 0.1  # Largest error of heading of a camera that counts as right.
+# Largest error of the road's edges across themselves of a camera that counts as right, px.
 PIXELS = 2.0
-"""Largest error of the road's edges across themselves of a camera that counts as right, px."""
+# Nearest edge points that are compared; nearer ones leap where a camera is a little off.
 NEAREST_M = 8.0
-"""Nearest edge points that are compared; nearer ones leap where a camera is a little off."""
-FARTHEST_M = 80.0
-"""Farthest edge points that are compared; those beyond crowd within few pixels."""
-_ALONG_M = 0.1
-"""Step along an edge by which its direction in the image is told."""
+FARTHEST_M = 80.0  # Farthest edge points that are compared; those beyond crowd within few pixels.
+_ALONG_M = 0.1  # Step along an edge by which its direction in the image is told.
 
 
 def camera_errors(
@@ -42,23 +39,19 @@ def camera_errors(
     """
     both = cameras.merge(truth, on="image", suffixes=("", "_true"))
     level = np.pad(tangents, ((0, 0), (0, 1)))
-    rows = [_errors(row, edges_m, level) for _, row in both.iterrows()]
+    rows = []
+    for _, row in both.iterrows():
+        angles = ("heading", "pitch", "roll")
+        turn = [float(wrap_deg(row[f"{a}_deg"] - row[f"{a}_deg_true"])) for a in angles]
+        heading = np.radians(row["heading_deg_true"])
+        east, north, up = (row[axis] - row[f"{axis}_true"] for axis in "xyz")
+        along = east * np.sin(heading) + north * np.cos(heading)
+        right = east * np.cos(heading) - north * np.sin(heading)
+        focal = row["focal_px"] / row["focal_px_true"]
+        rows.append([*turn, along, right, up, focal, *_pixel_errors(row, edges_m, level)])
     names = ("yaw_deg", "pitch_deg", "roll_deg", "along_m", "right_m", "up_m", "focal_ratio")
     found = pd.DataFrame(rows, columns=[*names, "point_px", "edge_px"], dtype=float)
     return pd.concat([both[["image", "accepted"]], found], axis=1)
-
-
-def _errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> list[float]:
-    turn = [
-        float(wrap_deg(row[f"{name}_deg"] - row[f"{name}_deg_true"]))
-        for name in ("heading", "pitch", "roll")
-    ]
-    heading = np.radians(row["heading_deg_true"])
-    east, north, up = (row[axis] - row[f"{axis}_true"] for axis in "xyz")
-    along = east * np.sin(heading) + north * np.cos(heading)
-    right = east * np.cos(heading) - north * np.sin(heading)
-    focal = row["focal_px"] / row["focal_px_true"]
-    return [*turn, along, right, up, focal, *_pixel_errors(row, edges_m, tangents)]
 
 
 def _pixel_errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> tuple[float, float]:

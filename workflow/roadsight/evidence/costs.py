@@ -13,7 +13,7 @@ sites count alike.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -77,9 +77,9 @@ class Step:
 
 # Driver and split of steps that are one job a run.
 _CLOUD = ("points_m", "run")
-
 _RUN = ("runs", "run")
-
+# Steps of a site, in their order. Left out are those that generate samples, that score against
+# truth, and that only some sites ask for (effects, tilted mounts, poses, bent lenses).
 STEPS: dict[str, Step] = {
     **{name: Step("both", *_CLOUD) for name in ("ingest_cloud", "profile_scene", "build_dem")},
     **{
@@ -145,9 +145,7 @@ STEPS: dict[str, Step] = {
         for name in ("plan_effects", "summarise_site", "write_handover", "write_pdf")
     },
 }
-"""Steps of a site, in their order. Left out are those that generate samples, that score against
-truth, and that only some sites ask for (effects, tilted mounts, poses, bent lenses)."""
-
+# Folders of results and what they grow with.
 STORED: dict[str, Step] = {
     "scene": Step("both", "points_m"),
     "placement": Step("placement", "candidate_sensors"),
@@ -155,7 +153,6 @@ STORED: dict[str, Step] = {
     "poles/depth": Step("poles", "images"),
     "poles": Step("poles", "points_m"),
 }
-"""Folders of results and what they grow with."""
 
 
 @dataclass(frozen=True)
@@ -219,17 +216,15 @@ def fit(records: Iterable[Record]) -> dict[str, StepCost]:
     by_step: dict[str, list[Record]] = {}
     for record in records:
         by_step.setdefault(record.step, []).append(record)
-    return {step: _fit_step(found) for step, found in by_step.items()}
-
-
-def _fit_step(records: list[Record]) -> StepCost:
-    jobs = [r.jobs for r in records]
-    cpu = fit_line(jobs, [r.units for r in records], [r.cpu_s for r in records])
-    known = [r for r in records if np.isfinite(r.peak_mib)]
-    peak = fit_line(
-        [1.0] * len(known), [r.units / r.jobs for r in known], [r.peak_mib for r in known]
-    )
-    return StepCost(cpu, peak, len({r.site for r in records}))
+    costs = {}
+    for step, found in by_step.items():
+        jobs, units = [r.jobs for r in found], [r.units for r in found]
+        cpu = fit_line(jobs, units, [r.cpu_s for r in found])
+        known = [r for r in found if np.isfinite(r.peak_mib)]
+        units = [r.units / r.jobs for r in known]
+        peak = fit_line([1.0] * len(known), units, [r.peak_mib for r in known])
+        costs[step] = StepCost(cpu, peak, len({r.site for r in found}))
+    return costs
 
 
 def predict(costs: dict[str, StepCost], record: Record) -> float:
@@ -257,12 +252,6 @@ def typical_factor(ratios: Iterable[float]) -> float:
     """Factor within which two thirds of held-out predictions lie, in either direction."""
     logs = np.abs(np.log(list(ratios)))
     return float(np.exp(np.quantile(logs, 2 / 3))) if len(logs) else float("nan")
-
-
-def amounts_from(content: dict[str, Any]) -> Amounts:
-    """Amounts from plain values; names that it does not know are left out."""
-    known = {field.name for field in fields(Amounts)}
-    return Amounts(**{name: value for name, value in content.items() if name in known})
 
 
 def costs_to_content(costs: dict[str, StepCost]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.records.run_records import last_usage
 from roadsight.io.records.tables import read_table
 
+# Rules that run for one effect alone.
 RULES = {
     "mount_tilt": "tilt_mounts",
     "rain": "model_rain",
@@ -25,15 +26,13 @@ RULES = {
     "reflectivity": "measure_reflectivity",
     "moving_vehicles": "trace_lanes",
 }
-"""Rules that run for one effect alone."""
-
+# Columns of the audit's table; found and seen are sensors and covered targets, or poles and their
+# sightings.
 COLUMNS = (
     *("site", "job", "effect", "decision", "quantity", "value", "unit", "threshold"),
     *("found_with", "found_without", "seen_with", "seen_without", "change"),
     *("tolerance", "right", "cpu_seconds", "expected_change", "expected_seconds"),
 )
-"""Columns of the audit's table; found and seen are sensors and covered targets, or poles and their
-sightings."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +136,7 @@ def never_mattering(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 # How far simulating an effect changes the answer of the pole job.
 
-MOVED_M = 0.5
-"""Poles of two answers that lie further apart are not the same pole."""
+MOVED_M = 0.5  # Poles of two answers that lie further apart are not the same pole.
 
 
 @dataclass(frozen=True)

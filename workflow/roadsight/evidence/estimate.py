@@ -93,12 +93,14 @@ def estimate(
         by the number of jobs. amounts : of one run. jobs : "placement", "poles" or both.
     """
     wanted = {"both", *jobs}
-    steps = [
-        _step(name, costs[name], amounts, runs)
-        for name, step in STEPS.items()
-        if step.job in wanted and name in costs and amounts.jobs(step.split)
-    ]
-    a_run = sum(step.jobs for step in steps) // runs
+    steps = []
+    for name, step in STEPS.items():
+        per_run = amounts.jobs(step.split)
+        if step.job in wanted and name in costs and per_run:
+            units, number = amounts.units(step.driver) / per_run, per_run * runs
+            job_s, job_mib = costs[name].cpu_s.at(units), costs[name].peak_mib.at(units)
+            steps.append(StepEstimate(name, number, number * job_s / 3600, job_s, job_mib))
+    a_run = sum(one.jobs for one in steps) // runs
     gib = sum(
         line.at(amounts.units(STORED[kind].driver))
         for kind, line in stored.items()
@@ -107,15 +109,6 @@ def estimate(
     dag_s, dag_mib = (line.at(a_run) for line in dag)
     hours = _wall_h(steps, cores, dag_s)
     return Estimate(steps, runs, cores, hours, gib * runs / 2**30, a_run, dag_s, dag_mib)
-
-
-def _step(name: str, cost: StepCost, amounts: Amounts, runs: int) -> StepEstimate:
-    jobs = amounts.jobs(STEPS[name].split)
-    units = amounts.units(STEPS[name].driver) / jobs
-    job_s = cost.cpu_s.at(units)
-    return StepEstimate(
-        name, jobs * runs, jobs * runs * job_s / 3600, job_s, cost.peak_mib.at(units)
-    )
 
 
 def _wall_h(steps: list[StepEstimate], cores: int, dag_s: float) -> float:
@@ -183,25 +176,20 @@ def fit_costs(sites: Sequence[Path], dag: tuple[Line, Line]) -> dict[str, Any]:
         raise InputError("no benchmark files", where=", ".join(map(str, sites)))
     amounts = {site.name: read_amounts(site) for site in sites}
     stored = {site.name: read_stored(site) for site in sites}
+    lines = {}  # bytes of each kind of result, from the sites that have any
+    for kind, step in STORED.items():
+        own = [name for name in amounts if stored[name][kind] > 0]
+        if own:
+            units = [amounts[name].units(step.driver) for name in own]
+            lines[kind] = fit_line([1.0] * len(own), units, [stored[s][kind] for s in own])
     ratios = held_out(records)
     return {
         "sites": {name: asdict(found) for name, found in amounts.items()},
         "steps": costs_to_content(fit(records)),
-        "stored": {kind: asdict(line) for kind, line in _fit_stored(amounts, stored).items()},
+        "stored": {kind: asdict(line) for kind, line in lines.items()},
         "dag": {"s": asdict(dag[0]), "mib": asdict(dag[1])},
         "held_out": {"predicted_by_actual": ratios, "factor": typical_factor(ratios.values())},
     }
-
-
-def _fit_stored(amounts: dict[str, Any], stored: dict[str, dict[str, int]]) -> dict[str, Line]:
-    """Bytes of each kind of result, from the sites that have any."""
-    lines = {}
-    for kind, step in STORED.items():
-        sites = [name for name in amounts if stored[name][kind] > 0]
-        if sites:
-            units = [amounts[name].units(step.driver) for name in sites]
-            lines[kind] = fit_line([1.0] * len(sites), units, [stored[s][kind] for s in sites])
-    return lines
 
 
 def write_costs(path: Path, content: dict[str, Any]) -> None:
@@ -212,9 +200,6 @@ def write_costs(path: Path, content: dict[str, Any]) -> None:
 
 
 # What finished runs needed, read from their results, logs and benchmark files.
-
-_SIDES = ("left_path", "right_path")
-"""Columns of side views, which are images of their own."""
 
 
 def read_amounts(site: Path) -> Amounts:
@@ -232,25 +217,22 @@ def read_amounts(site: Path) -> Amounts:
     first = list((site / "placement/round-0/depth").glob("*/*.parquet"))
     sensors = {path.parent.name for path in first}
     candidates = [len(read_table(r / "candidates.parquet", ["candidate"])) for r in rounds]
-    targets = site / "placement/targets.parquet"
+    targets, frames = site / "placement/targets.parquet", site / "poles/frames.parquet"
+    images = 0
+    if frames.is_file():  # side views are images of their own
+        table = read_table(frames)
+        sides = [name for name in ("left_path", "right_path") if name in table]
+        images = len(table) + sum(int((table[name] != "").sum()) for name in sides)
     return Amounts(
         points_m=read_json(frame)["points"] / 1e6,
         candidates=sum(candidates),
         sensors=len(sensors),
         targets=len(read_table(targets)) if targets.is_file() else 0,
         plans=len(list((site / "placement").glob("*/solution.json"))),
-        images=_images(site / "poles/frames.parquet"),
+        images=images,
         shards=max(len(masks), len(first) // max(len(sensors), 1), 1),
         rounds=max(len(rounds), 1),
     )
-
-
-def _images(frames: Path) -> int:
-    """Images of a videolog with their side views."""
-    if not frames.is_file():
-        return 0
-    table = read_table(frames)
-    return len(table) + sum(int((table[name] != "").sum()) for name in _SIDES if name in table)
 
 
 def read_records(site: Path) -> list[Record]:

@@ -67,8 +67,7 @@ class ExactHighway:
 
 # Ranges of a sensor's beams in a generated scene itself, and how far a depth map is from them.
 
-WRONG_M = 0.5
-"""A beam is wrong when its range is off by more than this."""
+WRONG_M = 0.5  # A beam is wrong when its range is off by more than this.
 
 
 def exact_ranges(scene: Scene, sensor: Sensor, position_m: Floats, yaw_deg: float) -> Floats32:
@@ -97,16 +96,12 @@ def share_wrong(range_m: Floats32, exact_m: Floats32) -> float:
 
 # What a sensor in a pose would see in the generated highway itself.
 
+# Cells of the exact panorama that stands for the scene; finer ones cost the square in time.
 _STEP_DEG = 0.2
-"""Cells of the exact panorama that stands for the scene; finer ones cost the square in time."""
-
 _USUAL = Targets()
-
+# The default target of the placement job.
 TARGET = Cylinder(radius_m=_USUAL.radius_m, height_m=_USUAL.height_m)
-"""The default target of the placement job."""
-
-RCS_M2 = _USUAL.rcs_m2
-"""Radar cross-section of the default target."""
+RCS_M2 = _USUAL.rcs_m2  # Radar cross-section of the default target.
 
 
 def sees_in_pose(

@@ -17,12 +17,10 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 
 if TYPE_CHECKING:  # slow to load
-    from roadsight.evidence.results import Results
+    from roadsight.evidence.placement_metrics import Results
 
-_MATCH_M = 3
-"""Threshold of the validation (a row of its table) at which poles count as found."""
-_STEP_M = 1.0
-"""Spacing of the places on true edges that are compared with found ones."""
+_MATCH_M = 3  # Threshold of the validation (a row of its table) at which poles count as found.
+_STEP_M = 1.0  # Spacing of the places on true edges that are compared with found ones.
 
 
 @dataclass(frozen=True)
@@ -122,197 +120,106 @@ def _pole_sightings(results: Results) -> float:
     return float(results.tables("poles/sightings/*.parquet")["kept"].sum())
 
 
-def _placement(name: str, *results: Any) -> Any:
+_EXACT = "exact truth of the generated scene"  # What a measure is compared with.
+_FINEST = "the study's reference level"  # What a measure without a truth is compared with.
+# Files, below a site's results, that measures read.
+_PLAN = ("placement/{plan}/solution.json",)
+_DATA = ("placement/{plan}/data.json",)
+_VALIDATION = ("poles/validation.json",)
+_CAMERAS = ("poles/camera_scores.json",)
+_EDGES = ("poles/road_edges.parquet",)
+
+
+def _placement(
+    name: str,
+    title: str,
+    unit: str = "share",
+    ideal: float | None = 0.0,
+    reference: str = _EXACT,
+    targets: tuple[str, ...] = _PLAN,
+    value: str = "",
+    **more: Any,
+) -> tuple[str, Metric]:
+    """Accuracy of the placement job, by a function of `placement_metrics` of this name."""
+    reads = partial(_value, value or name)
+    return name, Metric(title, unit, "placement", ideal, reference, reads, targets, **more)
+
+
+def _value(name: str, *results: Any) -> Any:
     from roadsight.evidence import placement_metrics  # noqa: PLC0415  # slow to load
 
     return getattr(placement_metrics, name)(*results)
 
 
-def _of_placement(name: str) -> Callable[..., Any]:
-    """A function of `placement_metrics`, by its name."""
-    return partial(_placement, name)
-
-
-_EXACT = "exact truth of the generated scene"
-"""What a measure is compared with."""
-_FINEST = "the study's reference level"
-"""What a measure without a truth is compared with."""
-_PLAN = ("placement/{plan}/solution.json",)
-_DATA = ("placement/{plan}/data.json",)
-"""Files, below a site's results, that measures of plans read."""
-_VALIDATION = ("poles/validation.json",)
-"""Those of measures of poles."""
-_CAMERAS = ("poles/camera_scores.json",)
-"""Those of measures of cameras."""
-
-METRICS: dict[str, Metric] = {
-    "dem_rmse_m": Metric(
-        "Height error of the road",
-        "m",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("dem_rmse_m"),
-        ("scene/dem.tif",),
-    ),
-    "pavement_f1": Metric(
+_PLACEMENT = (
+    _placement("dem_rmse_m", "Height error of the road", "m", targets=("scene/dem.tif",)),
+    _placement(
+        "pavement_f1",
         "F1 score of the pavement",
         "1",
-        "placement",
-        1.0,
-        _EXACT,
-        _of_placement("pavement_f1"),
-        ("scene/pavement_scores.json",),
+        ideal=1.0,
+        targets=("scene/pavement_scores.json",),
     ),
-    "beams_wrong": Metric(
-        "Beams wrong by more than 0.5 m",
-        "share",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("beams_wrong"),
-        _PLAN,
-        depth_maps=True,
-    ),
-    "detections_wrong": Metric(
+    _placement("beams_wrong", "Beams wrong by more than 0.5 m", depth_maps=True),
+    _placement(
+        "detections_wrong",
         "Decisions on targets that are wrong",
-        "share",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("detections_wrong"),
-        _PLAN,
         default_targets=True,
         depth_maps=True,
     ),
-    "detections_false": Metric(
+    _placement(
+        "detections_false",
         "False detections, of hidden targets",
-        "share",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("detections_false"),
-        _PLAN,
         default_targets=True,
         depth_maps=True,
     ),
-    "targets_lost": Metric(
-        "Claimed targets that the sensors do not see in truth",
-        "share",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("targets_lost"),
-        _PLAN,
-        default_targets=True,
+    _placement(
+        "targets_lost", "Claimed targets that the sensors do not see in truth", default_targets=True
     ),
-    "sensors": Metric(
-        "Sensors needed", "count", "placement", None, _FINEST, _of_placement("sensors"), _PLAN
-    ),
-    "range_rmse_m": Metric(
-        "Root mean square error of ranges",
-        "m",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("range_rmse_m"),
-        _PLAN,
-        depth_maps=True,
-    ),
-    "baseline_distance_m": Metric(
+    _placement("sensors", "Sensors needed", "count", ideal=None, reference=_FINEST),
+    _placement("range_rmse_m", "Root mean square error of ranges", "m", depth_maps=True),
+    _placement(
+        "baseline_distance_m",
         "Mean distance of sensors to those of the reference",
         "m",
-        "placement",
-        0.0,
-        _FINEST,
-        _of_placement("sensor_positions_m"),
-        _PLAN,
-        _of_placement("mean_distance_m"),
+        reference=_FINEST,
+        value="sensor_positions_m",
+        against=partial(_value, "mean_distance_m"),
     ),
-    "uncovered": Metric(
-        "Targets that no candidate sees",
-        "share",
-        "placement",
-        None,
-        _FINEST,
-        _of_placement("uncovered"),
-        _PLAN,
-    ),
-    "plan_cost": Metric(
-        "Cost of the sensors", "cost", "placement", None, _FINEST, _of_placement("plan_cost"), _PLAN
-    ),
-    "unseen": Metric(
-        "Targets that the plan leaves unseen",
-        "share",
-        "placement",
-        0.0,
-        "all targets",
-        _of_placement("unseen"),
-        _PLAN,
-    ),
-    "road_unclaimed": Metric(
+    _placement("uncovered", "Targets that no candidate sees", ideal=None, reference=_FINEST),
+    _placement("plan_cost", "Cost of the sensors", "cost", ideal=None, reference=_FINEST),
+    _placement("unseen", "Targets that the plan leaves unseen", reference="all targets"),
+    _placement(
+        "road_unclaimed",
         "Road that the plan does not claim to cover",
-        "share",
-        "placement",
-        0.0,
-        "the exact carriageways",
-        _of_placement("road_unclaimed"),
-        _PLAN,
+        reference="the exact carriageways",
     ),
-    "road_unseen": Metric(
-        "Road that the plan's sensors do not see in truth",
-        "share",
-        "placement",
-        0.0,
-        _EXACT,
-        _of_placement("road_unseen"),
-        _PLAN,
-        default_targets=True,
+    _placement(
+        "road_unseen", "Road that the plan's sensors do not see in truth", default_targets=True
     ),
-    "lost_to_a_failure": Metric(
-        "Targets lost when the worst sensor fails",
-        "share",
-        "placement",
-        0.0,
-        "all targets",
-        _of_placement("lost_to_a_failure"),
-        _PLAN,
+    _placement(
+        "lost_to_a_failure", "Targets lost when the worst sensor fails", reference="all targets"
     ),
-    "lost_if_dark": Metric(
+    _placement(
+        "lost_if_dark",
         "Seen targets lost if they are dark (10 %)",
-        "share",
-        "placement",
-        0.0,
-        "the plan's own detections",
-        _of_placement("lost_if_dark"),
-        _DATA,
+        reference="the plan's own detections",
+        targets=_DATA,
     ),
-    "lost_if_shorter": Metric(
+    _placement(
+        "lost_if_shorter",
         "Seen targets lost with a third less range",
-        "share",
-        "placement",
-        0.0,
-        "the plan's own detections",
-        _of_placement("lost_if_shorter"),
-        _DATA,
+        reference="the plan's own detections",
+        targets=_DATA,
     ),
+)
+METRICS: dict[str, Metric] = {
+    **dict(_PLACEMENT),
     "edge_error_m": Metric(
-        "Distance of found from true road edges",
-        "m",
-        "poles",
-        0.0,
-        _EXACT,
-        _edge_error_m,
-        ("poles/road_edges.parquet",),
+        "Distance of found from true road edges", "m", "poles", 0.0, _EXACT, _edge_error_m, _EDGES
     ),
     "edge_points": Metric(
-        "Road edge points",
-        "count",
-        "poles",
-        None,
-        _FINEST,
-        _edge_points,
-        ("poles/road_edges.parquet",),
+        "Road edge points", "count", "poles", None, _FINEST, _edge_points, _EDGES
     ),
     "pole_error_m": Metric(
         "Mean error of located poles", "m", "poles", 0.0, _EXACT, _pole_error_m, _VALIDATION

@@ -17,11 +17,11 @@ from scipy.spatial import cKDTree
 
 from roadsight.evidence import published
 
+# short: small sites, a quarter of an hour of processor time; long: as large as the studies'.
 Size = Literal["short", "long"]
-"""short: small sites, a quarter of an hour of processor time; long: as large as the studies'."""
+# What `roadsight.stages.evidence.measure_paper` wrote, by run.
 Measured = Mapping[str, Mapping[str, Any]]
-"""What `roadsight.stages.evidence.measure_paper` wrote, by run."""
-
+# Of ``paper.csv``.
 COLUMNS = (
     "study",
     "item",
@@ -35,34 +35,30 @@ COLUMNS = (
     "cpu_s_as_published",
     "cpu_s_default",
 )
-"""Of ``paper.csv``."""
-PUBLISHED_FILE = "config/published.yaml"
-"""Settings of both studies."""
-
+NATIVE_PX = 416  # Height of the generated images.
+PUBLISHED_FILE = "config/published.yaml"  # Settings of both studies.
+# Generated roads that stand for those of the placement study (its Table 2).
 PLACEMENT_SITES = {"site_1": "Site 1", "site_2": "Site 2", "site_3": "Site 3"}
-"""Generated roads that stand for those of the placement study (its Table 2)."""
-POLE_SITE = "route"
-"""Generated road that stands for the route of the pole study."""
+POLE_SITE = "route"  # Generated road that stands for the route of the pole study.
+# Deployment plans of the placement study (section 3.3); as published with Table 5's sensors.
 PLANS = ("vlp-16", "puck-32c", "puck-32c-or-os-32", "os-32", "os-64", "os-128")
-"""Deployment plans of the placement study (section 3.3); as published with Table 5's sensors."""
+# Site on which the U-Net is deployed; the study shows the same site (Fig. 20a).
 NETWORK_SITE = "site_2"
-"""Site on which the U-Net is deployed; the study shows the same site (Fig. 20a)."""
 NETWORK_PLANS = ("os-64", "os-128")
 NETWORKS = {"unet": "U-Net, end to end", "unet_mask": "U-Net, mask and interpolation"}
 HEIGHTS_PX = (256, 512, 1024)
 VOXELS_FT = (3, 5, 10)
 _FOOT_M = 0.3048
 _MILE_KM = 1.609344
-
 _FEWER_CANDIDATES = {"candidates": {"spacing_m": 20, "height_step_m": 6}, "coverage": {"rounds": 1}}
+# A depth map by network takes seconds, so that only a few candidates have one.
 _FEWEST_CANDIDATES = {
     "candidates": {"spacing_m": 40, "height_step_m": 6},
     "coverage": {"rounds": 0},
 }
-"""A depth map by network takes seconds, so that only a few candidates have one."""
 _FEW_IMAGES = {"videolog": {"every": 4}}
+# The pole study's cloud comes with its ground classified; the pillar rule is the other study's.
 _CLASSIFIED = {"ground": {"method": "robust"}}
-"""The pole study's cloud comes with its ground classified; the pillar rule is the other study's."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +128,6 @@ def runs(size: Size) -> dict[str, Run]:
     return found
 
 
-NATIVE_PX = 416
-"""Height of the generated images."""
-
-
 def _table5(plans: Iterable[str]) -> tuple[str, ...]:
     return tuple(f"table5-{plan}" for plan in plans)
 
@@ -176,16 +168,12 @@ def _row(
     cpu_s: Sequence[float | None] = (None, None),
 ) -> dict[str, Any]:
     """A row: ``values`` are the published one, ours as published and by default, ``cpu_s`` ours."""
-    numbers = (*(*values, None, None, None)[:3], *cpu_s)
-    cells = (study, item, site, row, quantity, unit, *map(_rounded, numbers))
+    cells: list[Any] = [study, item, site, row, quantity, unit]
+    for value in (*(*values, None, None, None)[:3], *cpu_s):
+        # To four significant digits, whole numbers as they are.
+        as_is = value is None or not math.isfinite(value) or abs(value) >= 1000
+        cells.append(value if as_is else float(f"{value:.4g}"))
     return dict(zip(COLUMNS, cells, strict=True))
-
-
-def _rounded(value: float | None) -> float | None:
-    """To four significant digits, whole numbers as they are."""
-    if value is None or not math.isfinite(value) or abs(value) >= 1000:
-        return value
-    return float(f"{value:.4g}")
 
 
 def _sites(measured: Measured) -> list[dict[str, Any]]:
@@ -210,11 +198,8 @@ def _pavement(measured: Measured) -> list[dict[str, Any]]:
         cost = tuple(_cpu_s(run, _PAVEMENT_STEPS) for run in ways)
         for key in ("accuracy", "recall", "f1"):
             ours = (100 * run["pavement"][key] for run in ways)
-            found.append(
-                _row(
-                    "placement", "Table 4", title, key, key, "%", theirs.get(key), *ours, cpu_s=cost
-                )
-            )
+            about = "placement", "Table 4", title, key, key, "%"
+            found.append(_row(*about, theirs.get(key), *ours, cpu_s=cost))
     return found
 
 
@@ -243,19 +228,9 @@ def _time_curves(measured: Measured) -> list[dict[str, Any]]:
     for way, title in {"hybrid": "Algorithm 1", **NETWORKS}.items():
         for sensor, cpu_s in measured[f"{NETWORK_SITE}-{way}"]["seconds_per_candidate"].items():
             ours = fast.get(published.PRODUCTS.get(sensor, ""))
-            found.append(
-                _row(
-                    "placement",
-                    "Fig. 19",
-                    PLACEMENT_SITES[NETWORK_SITE],
-                    f"{title}, {sensor.removeprefix('table5-')}",
-                    "time of a candidate",
-                    "CPU s",
-                    None,
-                    cpu_s,
-                    ours,
-                )
-            )
+            label = f"{title}, {sensor.removeprefix('table5-')}"
+            about = "placement", "Fig. 19", PLACEMENT_SITES[NETWORK_SITE], label
+            found.append(_row(*about, "time of a candidate", "CPU s", None, cpu_s, ours))
     return found
 
 
@@ -286,24 +261,13 @@ def mean_distance_m(sensors_m: Any, baseline_m: Any) -> float:
 def _components(measured: Measured) -> list[dict[str, Any]]:
     """Pole study, Table 1, which gives no numbers: F1 at 3 m without each component."""
     records = measured["route-default"]["components"]
-    return [
-        _row(
-            "poles",
-            "Table 1",
-            "Route",
-            _component(one["component"]),
-            "F1 at 3 m",
-            "",
-            None,
-            None,
-            one["f1_3m"],
-        )
-        for one in records
-    ]
-
-
-def _component(name: str) -> str:
-    return "with all" if name == "all" else f"without {name.replace('_', ' ')}"
+    found = []
+    for one in records:
+        name = one["component"]
+        label = "with all" if name == "all" else f"without {name.replace('_', ' ')}"
+        about = "poles", "Table 1", "Route", label, "F1 at 3 m", ""
+        found.append(_row(*about, None, None, one["f1_3m"]))
+    return found
 
 
 def _thresholds(measured: Measured) -> list[dict[str, Any]]:
@@ -312,20 +276,12 @@ def _thresholds(measured: Measured) -> list[dict[str, Any]]:
         {row["threshold_m"]: row for row in measured[f"route-{way}"]["validation"]["thresholds"]}
         for way in ("published", "default")
     ]
-    return [
-        _row(
-            "poles",
-            "Table 2",
-            "Route",
-            f"{threshold} m",
-            score,
-            "",
-            theirs[score],
-            *(way[threshold][score] for way in ways),
-        )
-        for threshold, theirs in published.SCORES.items()
-        for score in ("precision", "recall", "f1")
-    ]
+    found = []
+    for threshold, theirs in published.SCORES.items():
+        for score in ("precision", "recall", "f1"):
+            values = theirs[score], *(way[threshold][score] for way in ways)
+            found.append(_row("poles", "Table 2", "Route", f"{threshold} m", score, "", *values))
+    return found
 
 
 def _scenarios(measured: Measured) -> list[dict[str, Any]]:
@@ -344,36 +300,26 @@ def _scenarios(measured: Measured) -> list[dict[str, Any]]:
         ("geodesic_m", "three quarters of the poles within", published.WITHIN_75_M),
         ("across_m", "the same across the road", published.ACROSS_75_M),
     ):
-        values = (_quartile(way["errors"], key) for way in ways)
+        values = []
+        for way in ways:
+            known = [abs(error[key]) for error in way["errors"] if error.get(key) is not None]
+            values.append(float(np.quantile(known, 0.75)) if known else None)
         found.append(_row("poles", "Fig. 12", "Route", quantity, quantity, "m", theirs_m, *values))
     means = (way["mean_m"] for way in ways)
-    found.append(
-        _row("poles", "Fig. 12", "Route", "mean error", "mean error", "m", published.MEAN_M, *means)
-    )
+    about = "poles", "Fig. 12", "Route", "mean error", "mean error", "m"
+    found.append(_row(*about, published.MEAN_M, *means))
     return found
-
-
-def _quartile(errors: Iterable[Mapping[str, Any]], key: str) -> float | None:
-    known = [abs(error[key]) for error in errors if error.get(key) is not None]
-    return float(np.quantile(known, 0.75)) if known else None
 
 
 def _stages(measured: Measured) -> list[dict[str, Any]]:
     """Pole study, Table 4: core-minutes of each stage a mile; GPUs count as their cores."""
     ways = [measured[f"route-{way}"] for way in ("published", "default")]
-    return [
-        _row(
-            "poles",
-            "Table 4",
-            "Route",
-            title,
-            "core-minutes a mile",
-            "min",
-            minutes * cores,
-            *(_cpu_s(way, rules) / 60 / (way["length_km"] / _MILE_KM) for way in ways),
-        )
-        for title, minutes, cores, rules in published.STAGES
-    ]
+    found = []
+    for title, minutes, cores, rules in published.STAGES:
+        ours = (_cpu_s(way, rules) / 60 / (way["length_km"] / _MILE_KM) for way in ways)
+        about = "poles", "Table 4", "Route", title, "core-minutes a mile", "min"
+        found.append(_row(*about, minutes * cores, *ours))
+    return found
 
 
 def _heights(measured: Measured) -> list[dict[str, Any]]:

@@ -1,8 +1,11 @@
-"""Accuracies of the placement job."""
+"""Accuracies of the placement job, and the finished results that they are read from."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,24 +14,62 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
+from roadsight.base.sections.run import Sample
 from roadsight.base.sections.sensing import Targets
-from roadsight.evidence.exact_highway import sees_in_pose, share_wrong
-from roadsight.evidence.results import Results
+from roadsight.config.schema import Settings
+from roadsight.evidence.exact_highway import ExactHighway, sees_in_pose, share_wrong
+from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.placement_tables import read_detections, read_poses
 from roadsight.io.records.tables import read_table
-from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sensors.sensors import AnySensor, Sensor
 from roadsight.placement.sight.kinds import room_for, shape_of
 from roadsight.placement.sight.sight import beams_wanted
+from roadsight_worlds.highway.highway import build_highway
 
-_MAPS = 6
-"""Depth maps that are compared with exact ones; more would take longer to cast."""
-_STEP_M = 1.0
-"""Spacing of the places on the road where heights and coverage are compared."""
+_MAPS = 6  # Depth maps that are compared with exact ones; more would take longer to cast.
+_STEP_M = 1.0  # Spacing of the places on the road where heights and coverage are compared.
+# A target stands on the road when it is no farther above or below it: bridges clear 4 m.
 _SAME_SURFACE_M = 1.0
-"""A target stands on the road when it is no farther above or below it: bridges clear 4 m."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """Finished results of a site, and of the same site at its base settings.
+
+    Parameters
+    ----------
+    folder, base : ``results/<site>`` of the two. settings : of the first.
+    sample : the generated scene. plan : the plan that is looked at.
+    sensors : definitions of its sensors, of all kinds.
+    """
+
+    folder: Path
+    base: Path
+    settings: Settings
+    sample: Sample
+    plan: str
+    sensors: dict[str, AnySensor]
+
+    @property
+    def frame(self) -> Frame:
+        """Local frame."""
+        return Frame.from_dict(read_json(self.folder / "scene/frame.json"))
+
+    @cached_property
+    def scene(self) -> ExactHighway:
+        """The exact scene."""
+        own = self.sample
+        highway = build_highway(
+            self.settings.seed, own.length_m, own.radius_m, own.grade, own.tunnel, own.overhead
+        )
+        return ExactHighway(highway, self.frame)
+
+    def tables(self, pattern: str) -> pd.DataFrame:
+        """Tables whose names match a pattern, one below the other."""
+        return pd.concat([read_table(path) for path in sorted(self.folder.glob(pattern))])
 
 
 def dem_rmse_m(results: Results) -> float:
@@ -155,12 +196,7 @@ def road_unclaimed(results: Results) -> float:
 
 
 def _claimed(results: Results, solution: dict) -> pd.DataFrame:
-    """Targets that the plan says are covered.
-
-    Raises
-    ------
-    InputError : the plan has a budget or prices, and does not list what it covers.
-    """
+    """Targets that the plan says are covered; one with a budget or prices does not list them."""
     targets = read_table(results.folder / "placement/targets.parquet")
     claimed = targets[~targets["target"].isin(solution["excluded"])]
     if len(claimed) != solution["covered_targets"]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from statistics import fmean
 
+# Keys, names and units of what the placement study says of each site (its Table 2).
 SITE_FACTS = (
     ("points", "points", ""),
     ("spacing_m", "average spacing of points", "m"),
@@ -16,7 +17,7 @@ SITE_FACTS = (
     ("lanes", "lanes", ""),
     ("radius_m", "radius", "m"),
 )
-"""Keys, names and units of what the placement study says of each site (its Table 2)."""
+# The same; of the crossing of Site 3 the major road.
 SITES: dict[str, dict[str, float | None]] = {
     name: {key: value for (key, _, _), value in zip(SITE_FACTS, values, strict=True)}
     for name, values in {
@@ -25,20 +26,20 @@ SITES: dict[str, dict[str, float | None]] = {
         "Site 3": (3_361_904, 0.05, 269.0, 3.75, 4, None),
     }.items()
 }
-"""The same; of the crossing of Site 3 the major road."""
+# Segmented pavement, per cent (its Table 4).
 PAVEMENT = {
     "Site 1": {"accuracy": 91.84, "recall": 88.96, "f1": 90.38},
     "Site 2": {"accuracy": 94.45, "recall": 98.18, "f1": 96.28},
 }
-"""Segmented pavement, per cent (its Table 4)."""
+# Its deployment plans.
 PLANS = ("VLP-16", "Puck 32C", "Puck 32C or OS-32", "OS-32", "OS-64", "OS-128")
-"""Its deployment plans."""
+# Sensors of its plans, as far as the text says.
 SENSORS = {
     "Site 1": {"VLP-16": 31, "Puck 32C or OS-32": 13, "OS-128": 7},
     "Site 2": {"Puck 32C or OS-32": 10},
     "Site 3": {"Puck 32C or OS-32": 12},
 }
-"""Sensors of its plans, as far as the text says."""
+# Products that are sold, by the study's sensors.
 PRODUCTS = {
     "table5-VLP-16": "VLP-16",
     "table5-Puck-32C": "VLP-32C",
@@ -46,23 +47,13 @@ PRODUCTS = {
     "table5-OS-64": "OS1-64",
     "table5-OS-128": "OS1-128",
 }
-"""Products that are sold, by the study's sensors."""
-
-POLES = 180
-"""Poles that the paper located."""
-CHECKED = 29
-"""Of them, those whose places were known."""
-ROUTE_KM = 10.1
-"""Length of its route."""
-MEAN_M = 6.3
-"""Mean distance between located and known poles."""
-STD_M = 5.7
-"""Standard deviation of this distance."""
-WITHIN_75_M = 8.4
-"""Three quarters of the poles lie within this distance."""
-ACROSS_75_M = 2.1
-"""Three quarters of the poles lie within this distance across the road."""
-
+POLES = 180  # Poles that the paper located.
+CHECKED = 29  # Of them, those whose places were known.
+MEAN_M = 6.3  # Mean distance between located and known poles.
+STD_M = 5.7  # Standard deviation of this distance.
+WITHIN_75_M = 8.4  # Three quarters of the poles lie within this distance.
+ACROSS_75_M = 2.1  # Three quarters of the poles lie within this distance across the road.
+# By threshold in metres (Table 2).
 SCORES = {
     3: {"precision": 0.34, "recall": 0.36, "f1": 0.35},
     5: {"precision": 0.55, "recall": 0.57, "f1": 0.56},
@@ -72,8 +63,8 @@ SCORES = {
     15: {"precision": 0.90, "recall": 0.90, "f1": 0.90},
     16: {"precision": 0.93, "recall": 0.93, "f1": 0.93},
 }
-"""By threshold in metres (Table 2)."""
 F1 = {threshold: scores["f1"] for threshold, scores in SCORES.items()}
+# Stage, minutes a mile, cores, and our rules that do the same (Table 4).
 STAGES = (
     ("Image segmentation", 1.28, 16, ("segment_images",)),
     ("Monocular depth prediction", 5.1, 1, ("estimate_depth",)),
@@ -83,19 +74,17 @@ STAGES = (
     ("Mapping input", 1.01, 64, ("trace_pole_axes", "find_pole_columns", "measure_poles")),
     ("Object geolocation", 0.01, 1, ("triangulate_poles",)),
 )
-"""Stage, minutes a mile, cores, and our rules that do the same (Table 4)."""
+# Images that show fewer poles than at native height, per cent, by height in px (section 4.3).
 FEWER_POLES = {256: 29.87, 512: 12.77, 1024: 5.90}
-"""Images that show fewer poles than at native height, per cent, by height in px (section 4.3)."""
+# Minutes a mile of the segmentation by height in px; 0: native.
 HEIGHT_MINUTES = {256: 0.71, 512: 1.28, 1024: 3.15, 0: 3.36}
-"""Minutes a mile of the segmentation by height in px; 0: native."""
+# Time of rasterising on 32 cores, and points, by edge of a voxel in feet (section 4.3).
 VOXELS = {
     1: {"seconds": 94, "points": 5_172_679, "edge points": 99_361},
     3: {"seconds": 21, "points": 589_888, "edge points": 32_528},
     5: {"seconds": 14, "points": 217_722, "edge points": 19_466},
     10: {"seconds": 11, "points": 57_748, "edge points": 9_665},
 }
-"""Time of rasterising on 32 cores, and points, by edge of a voxel in feet (section 4.3)."""
-
 _STRAIGHT, _CURVED, _INTERSECTION, _EXTRANEOUS = SCENARIOS = (
     "straight road", "curved road", "intersection", "extraneous features",
 )  # fmt: skip
@@ -107,7 +96,7 @@ _ERRORS_M = {
     _INTERSECTION: (1.09, 1.16, 2.79, 4.46, 5.47, 5.54),
     _EXTRANEOUS: (10.32, 10.74, 14.18, 22.97),
 }  # fmt: skip
-
+# Title and what the paper says of each component (Table 1); it gives no numbers.
 COMPONENTS = {
     "lidar_bearing": ("LiDAR-guided bearing", "essential: without it accuracy consistently drops"),
     "alignment": ("Road-edge alignment", "critical where the camera's parameters are unknown"),
@@ -121,7 +110,6 @@ COMPONENTS = {
         "essential for the same result in every run",
     ),
 }
-"""Title and what the paper says of each component (Table 1); it gives no numbers."""
 
 
 def scenario_mean_m(scenario: str) -> tuple[int, float] | None:

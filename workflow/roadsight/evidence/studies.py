@@ -17,15 +17,9 @@ from roadsight.config.schema import Config, Settings
 from roadsight.evidence.metrics import METRICS
 from roadsight.io.records.sources import stage_module
 
-NAMED = "configuration"
-"""Knob of a study whose levels are whole configuration files."""
-
-PLAN = "plan"
-"""Knob of a study whose levels are plans; empty: the site's own."""
-
-WHOLE_JOB = "all"
-"""Stage of a measure whose cost is that of all steps of the job."""
-
+NAMED = "configuration"  # Knob of a study whose levels are whole configuration files.
+PLAN = "plan"  # Knob of a study whose levels are plans; empty: the site's own.
+WHOLE_JOB = "all"  # Stage of a measure whose cost is that of all steps of the job.
 _Value = int | float | str
 _Levels = Annotated[dict[str, _Value | list[float]], Field(min_length=2)]
 Job = Literal["placement", "poles"]
@@ -79,8 +73,12 @@ class Study(Section):
         if self.reference is not None and self.reference not in self.levels:
             raise ValueError(f"reference {self.reference!r} is no level")
         for measure in self.measures:
-            if measure.stage != WHOLE_JOB and not _is_stage(measure.stage):
-                raise ValueError(f"unknown stage {measure.stage!r}: a rule's name, or {WHOLE_JOB}")
+            if measure.stage != WHOLE_JOB:
+                try:
+                    stage_module(measure.stage)
+                except ValueError:
+                    told = f"unknown stage {measure.stage!r}: a rule's name, or {WHOLE_JOB}"
+                    raise ValueError(told) from None
             if measure.metric not in METRICS:
                 raise ValueError(f"unknown metric {measure.metric!r}: {', '.join(METRICS)}")
             metric = METRICS[measure.metric]
@@ -98,8 +96,13 @@ class Study(Section):
         ------
         ValueError : there is none.
         """
-        named = self.knob in (NAMED, PLAN)
-        usual: Any = "" if named else _value(Settings().model_dump(), self.knob)
+        usual: Any = ""
+        if self.knob not in (NAMED, PLAN):
+            usual = Settings().model_dump()
+            for part in self.knob.split("."):
+                if not isinstance(usual, Mapping) or part not in usual:
+                    raise ValueError(f"no setting {self.knob!r}")
+                usual = usual[part]
         for name, value in self.levels.items():
             if value == usual:
                 return name
@@ -172,7 +175,14 @@ def load_tradeoffs(path: str | os.PathLike[str], has_open3d: bool | None = None)
     InputError : malformed, an unknown key, metric or setting, or a study without its default.
     """
     where = str(path)
-    found = validated(Tradeoffs, _with_levels(read_yaml(path)), where)
+    content = read_yaml(path)
+    studies = content.get("studies") if isinstance(content, dict) else None
+    for given in studies.values() if isinstance(studies, dict) else ():
+        # Levels given as a list are named by their values.
+        if isinstance(given, dict) and isinstance(given.get("levels"), list):
+            values = given["levels"]
+            given["levels"] = {f"{v:g}" if isinstance(v, float) else str(v): v for v in values}
+    found = validated(Tradeoffs, content, where)
     for name, study in found.studies.items():
         if study.job not in found.sites:
             raise InputError(f"no site for the job {study.job}", where=f"{where}: sites")
@@ -211,37 +221,3 @@ def load_overrides(path: str) -> dict[str, Any]:
     config = load_config(merged(Config().model_dump(), read_yaml(path) or {}), path)
     validated(Settings, merged(Settings().model_dump(), config.overrides), f"{path}: overrides")
     return config.overrides
-
-
-def _is_stage(name: str) -> bool:
-    try:
-        stage_module(name)
-    except ValueError:
-        return False
-    return True
-
-
-def _with_levels(content: Any) -> Any:
-    """Levels given as a list are named by their values."""
-    if not isinstance(content, dict) or not isinstance(content.get("studies"), dict):
-        return content
-    studies = {
-        name: {**study, "levels": {_name(value): value for value in study["levels"]}}
-        if isinstance(study, dict) and isinstance(study.get("levels"), list)
-        else study
-        for name, study in content["studies"].items()
-    }
-    return {**content, "studies": studies}
-
-
-def _name(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _value(settings: Mapping[str, Any], knob: str) -> Any:
-    content: Any = settings
-    for part in knob.split("."):
-        if not isinstance(content, Mapping) or part not in content:
-            raise ValueError(f"no setting {knob!r}")
-        content = content[part]
-    return content

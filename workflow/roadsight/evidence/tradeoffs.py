@@ -11,6 +11,7 @@ from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import WHOLE_JOB, Measure, Study
 from roadsight.evidence.variants import JobRecord
 
+# Rules that make the generated sites or score results: no user's job has them.
 NOT_OF_THE_JOB = frozenset(
     (
         "generate_sample",
@@ -21,14 +22,10 @@ NOT_OF_THE_JOB = frozenset(
         "validate_poles",
     )
 )
-"""Rules that make the generated sites or score results: no user's job has them."""
-
+# A level is clearly cheaper than another when it needs this share less processor time, ...
 TIMING_NOISE = 0.1
-"""A level is clearly cheaper than another when it needs this share less processor time, ..."""
-
+# ... and more than so many seconds less: that is what starting a process varies by.
 TIMING_NOISE_S = 0.3
-"""... and more than so many seconds less: that is what starting a process varies by."""
-
 COLUMNS = (
     "job",
     "stage",
@@ -129,7 +126,12 @@ def measure_rows(
 ) -> list[dict[str, Any]]:
     """Rows of one measure."""
     metric = METRICS[measure.metric]
-    values = _values(study, measure.metric, levels)
+    read = {level: content["metrics"][measure.metric] for level, content in levels.items()}
+    if metric.against is not None:
+        other = read[str(study.reference)]
+        values = {level: metric.against(one, other) for level, one in read.items()}
+    else:
+        values = {level: math.nan if v is None else float(v) for level, v in read.items()}
     ideal = values[str(study.reference)] if metric.ideal is None else metric.ideal
     costs = {
         name: cost_of(measure.stage, {rule: Cost(**c) for rule, c in level["stages"].items()})
@@ -160,16 +162,6 @@ def measure_rows(
     ]
 
 
-def _values(study: Study, name: str, levels: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """Value of a metric at each level, compared with the reference level where it asks for that."""
-    read = {level: content["metrics"][name] for level, content in levels.items()}
-    against = METRICS[name].against
-    if against is not None:
-        other = read[str(study.reference)]
-        return {level: against(one, other) for level, one in read.items()}
-    return {level: _number(value) for level, value in read.items()}
-
-
 def next_step(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """What the next gain in accuracy beyond the default costs; None where there is none.
 
@@ -197,10 +189,6 @@ def next_step(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
 def as_json(costs: Mapping[str, Cost]) -> dict[str, dict[str, float]]:
     """Costs as plain values."""
     return {rule: asdict(cost) for rule, cost in costs.items()}
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 def precision_rows(measured: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ in a work folder of its own, and Snakemake's own rules of staleness recompute th
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import logging
 import os
@@ -26,21 +27,14 @@ from roadsight.io.records.run_records import last_usage
 from roadsight.io.records.sources import package_digest
 
 log = logging.getLogger(__name__)
-
+# A variant runs in a folder of its own and has to find this package.
 _PACKAGE = Path(__file__).resolve().parents[2]
-"""A variant runs in a folder of its own and has to find this package."""
-
-_CONFIG = "variant.json"
-"""The variant's configuration in its folder."""
-
+_CONFIG = "variant.json"  # The variant's configuration in its folder.
+# Log of a job that failed, as Snakemake's output names it.
 _LOG = re.compile(r"^ +log: (\S+)", re.MULTILINE)
-"""Log of a job that failed, as Snakemake's output names it."""
-
-_MESSAGE = "roadsight: "
-"""Begins the line by which a stage tells its own message."""
-
+_MESSAGE = "roadsight: "  # Begins the line by which a stage tells its own message.
+# Begin of a job in Snakemake's output.
 _JOB = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$", re.MULTILINE)
-"""Begin of a job in Snakemake's output."""
 
 
 class VariantError(InputError):
@@ -193,10 +187,13 @@ class Variant:
         # With shell commands, Snakemake names its jobs itself.
         said = ("--configfile", _CONFIG, "--printshellcmds")
         command = [sys.executable, "-m", "snakemake", *names, *said, *options]
+        # This package first, and no profile of the caller's.
+        given = {key: value for key, value in os.environ.items() if key != "SNAKEMAKE_PROFILE"}
+        path = os.pathsep.join(filter(None, (str(_PACKAGE), given.get("PYTHONPATH", ""))))
         finished = subprocess.run(
             command,
             cwd=self.folder,
-            env=_environment(),
+            env=given | {"PYTHONPATH": path},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -221,20 +218,12 @@ class Variant:
         return told[-1].removeprefix(_MESSAGE) if told else output.strip()[-400:]
 
 
-def _environment() -> dict[str, str]:
-    """As this process's, with this package first and no profile of the caller's."""
-    given = {key: value for key, value in os.environ.items() if key != "SNAKEMAKE_PROFILE"}
-    path = os.pathsep.join(filter(None, (str(_PACKAGE), given.get("PYTHONPATH", ""))))
-    return given | {"PYTHONPATH": path}
-
-
 # A work folder that shares a finished site's files with another one, which it cannot change.
 
+# What a mirror has of its own; everything else of the project is linked.
 _OWN = {"results", "logs", ".snakemake", ".git"}
-"""What a mirror has of its own; everything else of the project is linked."""
-
+# What Snakemake knows of outputs: without it, all of them would be stale.
 _METADATA = Path(".snakemake/metadata")
-"""What Snakemake knows of outputs: without it, all of them would be stale."""
 
 
 def mirror_site(base: Path, folder: Path, site: str) -> None:
@@ -260,55 +249,32 @@ def mirror_site(base: Path, folder: Path, site: str) -> None:
     for entry in sorted(base.iterdir()):
         if entry.name not in _OWN:
             (folder / entry.name).symlink_to(entry.resolve())
-    _copy(base, folder, Path("logs") / site)
-    _link_results(base, folder, Path("results") / site)
-    _copy_records(base / _METADATA, folder / _METADATA, f"results/{site}/")
-    _share_caches(base / ".snakemake/roadsight", folder / ".snakemake/roadsight")
-
-
-def _copy(base: Path, folder: Path, part: Path) -> None:
-    if (base / part).is_dir():
-        shutil.copytree(base / part, folder / part)
-
-
-def _link_results(base: Path, folder: Path, part: Path) -> None:
-    benchmarks = base / part / "benchmarks"
+    logs, results = Path("logs") / site, Path("results") / site
+    if (base / logs).is_dir():
+        shutil.copytree(base / logs, folder / logs)
 
     def place(source: str, target: str) -> None:
-        if Path(source).is_relative_to(benchmarks):
-            shutil.copy2(source, target)
-        else:
-            _link_or_copy(source, target)
-
-    shutil.copytree(
-        base / part, folder / part, copy_function=place, ignore=shutil.ignore_patterns(".*.tmp*")
-    )
-
-
-def _link_or_copy(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
+        if not Path(source).is_relative_to(base / results / "benchmarks"):
+            with contextlib.suppress(OSError):
+                os.link(source, target)
+                return
         shutil.copy2(source, target)
 
-
-def _copy_records(source: Path, target: Path, prefix: str) -> None:
-    """Snakemake's records of the files whose path starts with ``prefix``."""
+    unfinished = shutil.ignore_patterns(".*.tmp*")
+    shutil.copytree(base / results, folder / results, copy_function=place, ignore=unfinished)
     # Snakemake takes a folder of records without this one for one of an old version.
-    (target.parent / "incomplete").mkdir(parents=True)
-    for record in sorted(path for path in source.rglob("*") if path.is_file()):
-        name = record.relative_to(source)
+    (folder / _METADATA.parent / "incomplete").mkdir(parents=True)
+    for record in sorted(path for path in (base / _METADATA).rglob("*") if path.is_file()):
+        name = record.relative_to(base / _METADATA)
         encoded = "".join(part.removeprefix("@") for part in name.parts)
-        if urlsafe_b64decode(encoded).decode().startswith(prefix):
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(record, target / name)
-
-
-def _share_caches(source: Path, target: Path) -> None:
-    """Compiled kernels, which both may add to, and the checksums of input files."""
-    target.mkdir(parents=True)
-    kernels = source / f"numba-{package_digest()}"
+        if urlsafe_b64decode(encoded).decode().startswith(f"{results}/"):
+            (folder / _METADATA / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(record, folder / _METADATA / name)
+    # Compiled kernels, which both may add to, and the checksums of input files.
+    caches, shared = (root / ".snakemake/roadsight" for root in (base, folder))
+    shared.mkdir(parents=True)
+    kernels = caches / f"numba-{package_digest()}"
     kernels.mkdir(parents=True, exist_ok=True)
-    (target / kernels.name).symlink_to(kernels.resolve())
-    if (source / "checksums.json").is_file():
-        shutil.copy2(source / "checksums.json", target)
+    (shared / kernels.name).symlink_to(kernels.resolve())
+    if (caches / "checksums.json").is_file():
+        shutil.copy2(caches / "checksums.json", shared)

@@ -17,21 +17,15 @@ from pyproj.exceptions import CRSError, ProjError
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 
+# What may be said of units; auto: the axes of the CRS decide.
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
-"""What may be said of units; auto: the axes of the CRS decide."""
+# Metres in one unit of each name that a site file may state.
 METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
-"""Metres in one unit of each name that a site file may state."""
-
-_LOCAL = "local"
-"""CRS of a site without one."""
-_OF_THE_CLOUD = "as in the cloud"
-"""Vertical datum of a site whose CRS names none."""
-
+_LOCAL = "local"  # CRS of a site without one.
+_OF_THE_CLOUD = "as in the cloud"  # Vertical datum of a site whose CRS names none.
+# CRSs that put a place no farther apart mean the same: clouds are less accurate than that.
 _AGREEMENT_M = 0.01
-"""CRSs that put a place no farther apart mean the same: clouds are less accurate than that."""
-
-_SAME_UNIT = 1e-9
-"""Units nearer than this are one: the two feet differ by 2e-6."""
+_SAME_UNIT = 1e-9  # Units nearer than this are one: the two feet differ by 2e-6.
 
 
 @dataclass(frozen=True)

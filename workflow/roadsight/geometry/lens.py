@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
+# Most steps of Newton's method. Bisection alone, to which it falls back, needs some 53 for all the
+# bits of a double.
 _STEPS = 60
-"""Most steps of Newton's method. Bisection alone, to which it falls back, needs some 53 for all the
-bits of a double."""
+# Pinhole distance over the distance shown, at most, where the image never turns back: there the
+# lens shows a place at more than 4/9 of its pinhole distance, so that the bracket needs 9/4.
 _WIDEST = 2.5
-"""Pinhole distance over the distance shown, at most, where the image never turns back: there the
-lens shows a place at more than 4/9 of its pinhole distance, so that the bracket needs 9/4."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,6 @@ class RadialLens:
         """Lens about the middle of an image; the unit is half its diagonal unless given."""
         unit = 0.5 * float(np.hypot(width_px, height_px)) if scale_px is None else scale_px
         return cls(k1, k2, unit, (width_px - 1) / 2, (height_px - 1) / 2)
-
-    def with_scale(self, scale_px: float) -> RadialLens:
-        """The same lens with another unit of distance."""
-        ratio = (scale_px / self.scale_px) ** 2
-        return RadialLens(self.k1 * ratio, self.k2 * ratio**2, scale_px, self.cx_px, self.cy_px)
 
     @property
     def turning_radius(self) -> float:

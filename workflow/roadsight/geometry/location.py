@@ -16,17 +16,17 @@ from pyproj.exceptions import CRSError, ProjError
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, unit_name, with_linear_unit
 
+# How far outside a CRS's area of use a cloud may lie: areas on record are drawn by borders of
+# countries and states, which roads cross. A wrong zone or unit is off by more.
 _AREA_TOLERANCE_DEG = 1.0
-"""How far outside a CRS's area of use a cloud may lie: areas on record are drawn by borders of
-countries and states, which roads cross. A wrong zone or unit is off by more."""
+# Scale of a grid against the ground, less 1: UTM and state plane systems stay far below, Web
+# Mercator away from the equator does not.
 _LARGEST_SCALE_ERROR = 0.01
-"""Scale of a grid against the ground, less 1: UTM and state plane systems stay far below, Web
-Mercator away from the equator does not."""
+# Longest side of a site: beyond it, a stray point or a wrong unit is likelier than a road.
 _LARGEST_EXTENT_M = 100_000.0
-"""Longest side of a site: beyond it, a stray point or a wrong unit is likelier than a road."""
+# Least confidence, per cent, at which PROJ's match for a datum counts. Its lowest grade, a similar
+# name, is enough for an area of use, which only has to tell continents and states apart.
 _GEODETIC_CONFIDENCE = 25
-"""Least confidence, per cent, at which PROJ's match for a datum counts. Its lowest grade, a similar
-name, is enough for an area of use, which only has to tell continents and states apart."""
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,16 @@ def check_location(
     area = area_of_use(crs)
     lon_deg, lat_deg = longitude_latitude(crs, *centre)
     if not _inside(lon_deg, lat_deg, area, _AREA_TOLERANCE_DEG):
+        allowed = "anywhere on Earth"
+        if area is not None:
+            name = area.name if len(area.name) <= 60 else area.name[:57] + "..."
+            corners = f"{_place(area.west, area.south)} to {_place(area.east, area.north)}"
+            allowed = f"{corners} ({name}), give or take {_AREA_TOLERANCE_DEG:g} degree"
         raise InputError(
             f"{crs.name} puts the cloud where its coordinates cannot be",
             where=where,
             found=_place(lon_deg, lat_deg),
-            allowed="anywhere on Earth" if area is None else _extent(area),
+            allowed=allowed,
             hint=_likely_cause(crs, centre, area),
         )
     if not units_stated:
@@ -270,11 +275,3 @@ def _place(lon_deg: float, lat_deg: float) -> str:
         return "no place on Earth"
     north, east = "N" if lat_deg >= 0 else "S", "E" if lon_deg >= 0 else "W"
     return f"{abs(lat_deg):.3f} {north} {abs(lon_deg):.3f} {east}"
-
-
-def _extent(area: Area) -> str:
-    name = area.name if len(area.name) <= 60 else area.name[:57] + "..."
-    return (
-        f"{_place(area.west, area.south)} to {_place(area.east, area.north)} ({name}), "
-        f"give or take {_AREA_TOLERANCE_DEG:g} degree"
-    )

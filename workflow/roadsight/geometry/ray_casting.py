@@ -23,26 +23,22 @@ from numpy.typing import ArrayLike, NDArray
 from roadsight.base.arrays import Bools, Floats32, Ints32
 from roadsight.base.kernels import compiled, compiled_part
 
-_PACKET = 16
-"""Rays that Embree casts at once."""
-_MAJOR = 4
-"""Version of Embree whose structures are filled here."""
+_PACKET = 16  # Rays that Embree casts at once.
+_MAJOR = 4  # Version of Embree whose structures are filled here.
 _VERSION_MAJOR_PROPERTY = 1
 _INDEX_BUFFER = 0
 _VERTEX_BUFFER = 1
+# Kind of geometry and layout of its rows, by the corners of a face.
 _FACES = {3: (0, 0x5003), 4: (1, 0x5004)}
-"""Kind of geometry and layout of its rows, by the corners of a face."""
 _FLOAT3 = 0x9003
 _ROBUST = 4
 _NO_ROOM = 4
 _COHERENT = 1 << 16
 _ALL_FEATURES = -1
-_ROOM = 32
-"""Rows of 16 numbers for a packet: 12 of rays, 9 of hits, and what a later 4.x may add."""
+_ROOM = 32  # Rows of 16 numbers for a packet: 12 of rays, 9 of hits, and what a later 4.x may add.
 # Rows of `RTCRayHit16`.
 _NEAR, _WAY, _TIME, _FAR, _MASK, _ID, _FLAGS = 3, 4, 7, 8, 9, 10, 11
 _U, _V, _TRIANGLE, _GEOMETRY, _INSTANCE = 15, 16, 17, 18, 19
-
 Address = ctypes.c_void_p
 Packet = NDArray[np.int32]
 
@@ -158,12 +154,7 @@ class RayScene:
 
 
 def _rays(origins_m: ArrayLike, directions: ArrayLike, limit: float) -> _Rays:
-    """Rays as compiled code takes them.
-
-    Raises
-    ------
-    ValueError : they have other shapes.
-    """
+    """Rays as compiled code takes them."""
     origins = np.ascontiguousarray(origins_m, np.float32)
     ways = np.ascontiguousarray(directions, np.float32)
     if not origins.shape[-1:] == ways.shape[-1:] == (3,) or origins.size not in (3, ways.size):
@@ -183,12 +174,7 @@ def _embree() -> ctypes.CDLL:
 
 @cache
 def _device() -> Address:
-    """Embree on one thread, for the whole process.
-
-    Raises
-    ------
-    ImportError : it is of another version, whose structures differ.
-    """
+    """Embree on one thread, for the whole process, of the version whose structures are filled."""
     embree = _embree()
     device = Address(embree.rtcNewDevice(b"threads=1"))
     found = embree.rtcGetDeviceProperty(device, _VERSION_MAJOR_PROPERTY)

@@ -85,15 +85,25 @@ def resolve(
     """
     notes = [f"{Path(name).name}: {note}" for name, cloud in stated for note in cloud.notes]
     header = _common_statement(stated, centre)
+    source: Source
     if choice.crs == "local":
         return _local_reference(header, choice)
-    source: Source = "header" if choice.crs == "auto" else "config"
-    if source == "header":
-        crs = _header_crs(stated)
+    if choice.crs == "auto":
+        source, where = "header", stated[0][0]
+        for name, statement in stated:
+            if statement.crs is None:
+                raise InputError(
+                    "states no CRS" + (f": {statement.problem}" if statement.problem else ""),
+                    where=name,
+                    hint="set `crs: EPSG:...` in the site file, or `crs: local` if it has none",
+                )
+        crs = next(statement.crs for _, statement in stated if statement.crs is not None)
     else:
-        crs = parse_crs(choice.crs, "crs")
-        header = _compared(header, crs, centre, notes)
-    where = stated[0][0] if source == "header" else "crs"
+        source, where = "config", "crs"
+        crs = parse_crs(choice.crs, where)
+        if header.crs is not None and not agree(header.crs, crs, *centre):
+            notes.append(f"the header states {header.crs.name}, the configured {crs.name} is used")
+            header = StatedCrs()  # its vertical unit is void, too
     crs, unit_m, axis_vertical_m = _plan_units(crs, choice.units, where, notes)
     vertical_m = _vertical_unit(
         axis_vertical_m or header.vertical_unit_m, unit_m, crs, choice, notes
@@ -155,28 +165,6 @@ def _contradiction(what: str, first: str, second: str, found: str) -> InputError
         found=found,
         hint="convert one of them, or make two sites",
     )
-
-
-def _header_crs(stated: Sequence[tuple[str, StatedCrs]]) -> CRS:
-    """CRS of the first header, when every header has one."""
-    for name, statement in stated:
-        if statement.crs is None:
-            raise InputError(
-                "states no CRS" + (f": {statement.problem}" if statement.problem else ""),
-                where=name,
-                hint="set `crs: EPSG:...` in the site file, or `crs: local` if it has none",
-            )
-    return next(statement.crs for _, statement in stated if statement.crs is not None)
-
-
-def _compared(
-    header: StatedCrs, crs: CRS, centre: tuple[float, float], notes: list[str]
-) -> StatedCrs:
-    """Note a header that contradicts the configured ``crs``; its vertical unit is void then."""
-    if header.crs is None or agree(header.crs, crs, *centre):
-        return header
-    notes.append(f"the header states {header.crs.name}, the configured {crs.name} is used")
-    return StatedCrs()
 
 
 def _local_reference(header: StatedCrs, choice: UnitChoice) -> Reference:

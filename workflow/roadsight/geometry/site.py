@@ -22,8 +22,8 @@ from roadsight.geometry.location import (
 )
 from roadsight.geometry.reference import Reference
 
+# Native x, y, z of one CRS to those of another, shape (n, 3).
 Reprojection = Callable[[Floats], Floats]
-"""Native x, y, z of one CRS to those of another, shape (n, 3)."""
 
 
 @dataclass(frozen=True)

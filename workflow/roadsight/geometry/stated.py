@@ -24,11 +24,8 @@ from roadsight.geometry.crs import (
 )
 
 _COMPOUND = re.compile(r"\s*(COMPD_CS|COMPOUNDCRS)\s*\[", re.IGNORECASE)
-
 _HORIZONTAL = ("PROJCS", "GEOGCS", "PROJCRS", "PROJECTEDCRS", "GEOGCRS", "GEODCRS", "BOUNDCRS")
-
 _UNREADABLE = "its WKT record cannot be read"
-
 _WKT_1, _WKT_2, _KEYS = "its WKT record", "its WKT 2 record (4224)", "its GeoTIFF keys"
 
 
@@ -58,23 +55,16 @@ def stated_crs(
     if not present:
         return StatedCrs()
     undecided = only_wkt and not wkt_bit
-    reason = _reason(wkt_bit)
     (first_name, first), *others = present
     for name, other in others:
         is_of_keys = _KEYS in (first_name, name)
         if undecided and is_of_keys and _differ(first, other, centre):
             return _refused(first_name, first, name, other, "the WKT bit is not set")
-        first_name, first = _both(
-            first_name, first, name, other, centre, reason if is_of_keys else _REASON_OF_WKT
-        )
+        reason = "as LAS up to 1.4 knows no other record"
+        if is_of_keys:
+            reason = f"as the WKT bit of the header says ({int(wkt_bit)})"
+        first_name, first = _both(first_name, first, name, other, centre, reason)
     return first
-
-
-_REASON_OF_WKT = "as LAS up to 1.4 knows no other record"
-
-
-def _reason(wkt_bit: bool) -> str:
-    return f"as the WKT bit of the header says ({int(wkt_bit)})"
 
 
 def _differ(first: StatedCrs, other: StatedCrs, centre: tuple[float, float] | None) -> bool:
@@ -199,36 +189,22 @@ def compound_parts(text: str) -> list[str]:
 #
 # Numbers and meanings of keys are those of OGC 19-008r4 (GeoTIFF 1.1), which LAS refers to.
 
-Keys = Mapping[int, int | float | str]
-"""Value of each key: a short integer, a double or a text."""
-
+Keys = Mapping[int, int | float | str]  # Value of each key: a short integer, a double or a text.
 _USER_DEFINED = 32767
-
 _EPSG_UNITS = {9001: "metre", 9002: "foot", 9003: "us-survey-foot"}
-
 _MODEL, _CITATION = 1024, 1026
-
 _GEOGRAPHIC, _DATUM, _SPHEROID, _AXIS_A, _AXIS_B, _FLATTENING = 2048, 2050, 2056, 2057, 2058, 2059
-
 _PROJECTED, _PROJECTED_CITATION, _PROJECTION, _METHOD = 3072, 3073, 3074, 3075
-
 _LINEAR_UNIT, _LINEAR_UNIT_M = 3076, 3077
-
 _VERTICAL_CRS, _VERTICAL_UNIT = 4096, 4099
-
 _MODELS = {1: "projected", 2: "geographic", 3: "geocentric"}
-
+# Before the WKT of a CRS of its own, which ArcGIS puts into the citation.
 _ESRI_TEXT = "ESRI PE String ="
-"""Before the WKT of a CRS of its own, which ArcGIS puts into the citation."""
-
 _LATITUDE, _LONGITUDE = (3081, 3085, 3089), (3080, 3084, 3088, 3095)
-
 _EASTING, _NORTHING = (3082, 3086, 3090), (3083, 3087, 3091)
-
 _SCALE, _PARALLEL_1, _PARALLEL_2, _AZIMUTH = (3092, 3093), (3078,), (3079,), (3094,)
-
 _RECTIFIED = (3096,)
-
+# Method of PROJ and its parameters by keys, by number of the method (ProjMethodGeoKey).
 _METHODS: dict[int, tuple[str, dict[str, tuple[int, ...]]]] = {
     1: ("tmerc", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE, "k_0": _SCALE}),
     3: (
@@ -255,12 +231,8 @@ _METHODS: dict[int, tuple[str, dict[str, tuple[int, ...]]]] = {
     16: ("sterea", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE, "k_0": _SCALE}),
     18: ("cass", {"lat_0": _LATITUDE, "lon_0": _LONGITUDE}),
 }
-"""Method of PROJ and its parameters by keys, by number of the method (ProjMethodGeoKey)."""
-
 _METHODS[2] = _METHODS[1]
-
-_OPTIONAL = ("gamma", "k_0")
-"""Parameters that may be left to their usual value."""
+_OPTIONAL = ("gamma", "k_0")  # Parameters that may be left to their usual value.
 
 
 def from_geo_keys(keys: Keys) -> StatedCrs:
@@ -272,7 +244,8 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
     """
     vertical_unit_m, notes = _vertical_unit(keys)
     code, model = _code(keys, _PROJECTED), _code(keys, _MODEL)
-    named = _named_code(keys)
+    # Parameters say it where this is `_USER_DEFINED`; 0 where there is none.
+    named = _code(keys, _PROJECTED if _PROJECTED in keys else _GEOGRAPHIC)
     if model in (2, 3) and code not in (0, _USER_DEFINED):
         problem = f"its GeoTIFF keys say {_MODELS[model]} (1024) and name EPSG:{code} (3072)"
         return StatedCrs(None, vertical_unit_m, problem, notes)
@@ -293,7 +266,7 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
     if (
         unit_m is not None
         and abs(unit_m / own_m - 1) > 1e-9
-        and unit_name(unit_m) in (METRES_PER_UNIT)
+        and unit_name(unit_m) in METRES_PER_UNIT
     ):
         notes = (
             *notes,
@@ -307,11 +280,6 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
 def _code(keys: Keys, key: int) -> int:
     value = keys.get(key, 0)
     return value if isinstance(value, int) else 0
-
-
-def _named_code(keys: Keys) -> int:
-    """EPSG code of the CRS, `_USER_DEFINED` where parameters say it, 0 where there is none."""
-    return _code(keys, _PROJECTED if _PROJECTED in keys else _GEOGRAPHIC)
 
 
 def _number(keys: Keys, *wanted: int) -> float | None:
@@ -360,9 +328,9 @@ def _user_defined(keys: Keys) -> tuple[CRS | None, str]:
         }
         crs = CRS.from_json_dict(content)
         name = unit_name(unit_m or 1.0)
-        return (with_linear_unit(crs, name) if name in METRES_PER_UNIT else None), (
-            "" if name in METRES_PER_UNIT else f"its GeoTIFF keys count in a {name}"
-        )
+        known = name in METRES_PER_UNIT
+        problem = "" if known else f"its GeoTIFF keys count in a {name}"
+        return (with_linear_unit(crs, name) if known else None), problem
     except (CRSError, KeyError, ValueError) as error:
         return None, f"the projection in its GeoTIFF keys cannot be used ({error})"
 

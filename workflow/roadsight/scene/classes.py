@@ -8,18 +8,15 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Bytes
 
-NEVER_CLASSIFIED = 0
-"""Created, never classified."""
-UNCLASSIFIED = 1
-"""Unclassified."""
-GROUND = 2
-"""Ground."""
-ROAD = 11
-"""Road surface."""
-BRIDGE = 17
-"""Bridge deck."""
-VEGETATION = (3, 4, 5)
-"""Low, medium and high vegetation."""
+NEVER_CLASSIFIED = 0  # Created, never classified.
+UNCLASSIFIED = 1  # Unclassified.
+GROUND = 2  # Ground.
+ROAD = 11  # Road surface.
+BRIDGE = 17  # Bridge deck.
+ROADS = (ROAD, BRIDGE)
+WATER = 9
+VEGETATION = (3, 4, 5)  # Low, medium and high vegetation.
+# Common classes as people call them.
 CLASS_NAMES = {
     0: "never classified",
     1: "unclassified",
@@ -35,7 +32,6 @@ CLASS_NAMES = {
     15: "transmission tower",
     17: "bridge deck",
 }
-"""Common classes as people call them."""
 
 
 def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> Bytes:

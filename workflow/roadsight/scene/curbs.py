@@ -15,30 +15,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+from roadsight.base.arrays import Floats, Ints, Ints32
 
-_MARGIN_M = 30.0
-"""How far curbs are followed straight on beyond both ends of the track."""
-
-_SHELL_M = 0.10
-"""Points no higher above the lowest one of their cell are of the surface: more than a scanner's
-noise, less than most of what stands on it."""
-
-_FEWEST = 2
-"""Points in the window along the line that a height needs."""
-
-_LANE_M = 1.5
-"""Cells this near to the track are the road, from whose height it is told what stands up."""
-
-_MOST_SLOPE_M = 0.05
-"""What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step."""
-
-_NEARER = 0.006
-"""What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
-of 120 cells it stays below that."""
-
-_ASIDE_CELLS = 3
-"""How far aside a curb may go from one station to the next."""
+_MARGIN_M = 30.0  # How far curbs are followed straight on beyond both ends of the track.
 
 
 @dataclass(frozen=True)
@@ -123,6 +102,12 @@ def smooth_line(track_xy_m: Floats, spacing_m: float, beyond_m: float) -> Floats
     return np.concatenate([before, line, line[-1] + away * end / np.hypot(*end)])
 
 
+# Points no higher above the lowest one of their cell are of the surface: more than a scanner's
+# noise, less than most of what stands on it.
+_SHELL_M = 0.10
+_FEWEST = 2  # Points in the window along the line that a height needs.
+
+
 def surface(xyz_m: Floats, line: Floats, settings: CurbSettings) -> Floats:
     """Height (stations, cells) of the lowest surface along a line, NaN where it was not seen.
 
@@ -167,17 +152,35 @@ def _side(heights: Floats, line: Floats, side: int, first: int, settings: CurbSe
     half = heights.shape[1] // 2
     outwards = heights[:, half:] if side > 0 else heights[:, half - 1 :: -1]
     step, foot = steps(outwards, settings)
-    cell = _sharpest(step, follow(step, settings))
+    cell = follow(step, settings)
     row = np.arange(len(cell))
+    # The sharpest step within two cells of each station's.
+    near = np.clip(cell[:, None] + np.arange(-2, 3), 0, step.shape[1] - 1)
+    sharpest = near[row, np.take_along_axis(step, near, axis=1).argmax(axis=1)]
+    cell = np.where(step[row, sharpest] > 0, sharpest, cell)
     found = step[row, cell] >= settings.least_step_m
     right = side * ((cell + 0.5) * settings.across_m)
     right = ndimage.gaussian_filter1d(right, 1.0 / settings.station_m, mode="nearest")
     tangent = _tangents(line)
     place = line + right[:, None] * np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    piece, kept = _pieces(found, settings)
+    # Gaps of one metre are closed.
+    gap = max(round(1.0 / settings.station_m), 1)
+    closed = ndimage.binary_closing(np.pad(found, gap), np.ones(2 * gap + 1, bool))[gap:-gap]
+    label, count = ndimage.label(closed)
+    length = np.bincount(label, minlength=count + 1) * settings.station_m
+    good = length >= settings.shortest_m
+    good[0] = False
+    order = np.cumsum(good) - 1
+    piece, kept = order[label], good[label]
     xyz = np.column_stack([place, foot[row, cell]])[kept]
     direction = _tangents(place)[kept]
     return Curbs(xyz, direction, (piece[kept] + first).astype(np.int32), step[row, cell][kept])
+
+
+# Cells this near to the track are the road, from whose height it is told what stands up.
+_LANE_M = 1.5
+# What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step.
+_MOST_SLOPE_M = 0.05
 
 
 def steps(outwards: Floats, settings: CurbSettings) -> tuple[Floats, Floats]:
@@ -222,6 +225,12 @@ def _means(values: Floats, reach: int, direction: int) -> Floats:
     return np.where(count >= 0.5 * reach, total / np.maximum(count, 1), np.nan)
 
 
+# What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
+# of 120 cells it stays below that.
+_NEARER = 0.006
+_ASIDE_CELLS = 3  # How far aside a curb may go from one station to the next.
+
+
 def follow(step_m: Floats, settings: CurbSettings) -> Ints:
     """Cell (stations,) of the curb: the line that gathers most steps with fewest steps aside.
 
@@ -245,23 +254,3 @@ def follow(step_m: Floats, settings: CurbSettings) -> Ints:
     for row in range(len(step_m) - 1, 0, -1):
         cell[row - 1] = cell[row] + aside[back[row, cell[row]]]
     return cell
-
-
-def _sharpest(step_m: Floats, cell: Ints) -> Ints:
-    """Cell of the greatest step within two cells of each station's."""
-    near = np.clip(cell[:, None] + np.arange(-2, 3), 0, step_m.shape[1] - 1)
-    best = np.take_along_axis(step_m, near, axis=1).argmax(axis=1)
-    found = near[np.arange(len(cell)), best]
-    return np.where(step_m[np.arange(len(cell)), found] > 0, found, cell)
-
-
-def _pieces(found: Bools, settings: CurbSettings) -> tuple[Ints, Bools]:
-    """Piece of each station and which to keep; gaps of one metre are closed."""
-    gap = max(round(1.0 / settings.station_m), 1)
-    closed = ndimage.binary_closing(np.pad(found, gap), np.ones(2 * gap + 1, bool))[gap:-gap]
-    label, count = ndimage.label(closed)
-    length = np.bincount(label, minlength=count + 1) * settings.station_m
-    good = length >= settings.shortest_m
-    good[0] = False
-    order = np.cumsum(good) - 1
-    return order[label], good[label]

@@ -14,30 +14,19 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 
-CELL_M = 1.0
-"""Edge of the cells that are counted; tiles are made of whole ones."""
-
+CELL_M = 1.0  # Edge of the cells that are counted; tiles are made of whole ones.
+# Points that cells hold on average before density is told, see `density`.
 _POINTS_PER_DENSITY_CELL = 4
-"""Points that cells hold on average before density is told, see `density`."""
-
+# Points up to this above the lowest of their cell are ground and what lies on it.
 _GROUND_BAND_M = 1.0
-"""Points up to this above the lowest of their cell are ground and what lies on it."""
-
+# What is higher above the lowest point of a cell, with nothing between, spans it overhead.
 _CLEARANCE_M = 3.0
-"""What is higher above the lowest point of a cell, with nothing between, spans it overhead."""
-
-_WINDOWS = 50
-"""Windows in which spacing is measured, at even steps through the cloud."""
-
-_WINDOW_POINTS = 400
-"""Points of a window at the cloud's median density, which sets its size."""
-
+_WINDOWS = 50  # Windows in which spacing is measured, at even steps through the cloud.
+_WINDOW_POINTS = 400  # Points of a window at the cloud's median density, which sets its size.
+# Distances taken of each window, so that dense windows do not outvote the others.
 _WINDOW_SAMPLE = 200
-"""Distances taken of each window, so that dense windows do not outvote the others."""
-
+# Margin of a window, in spacings of the cloud: neighbours of its points lie within.
 _HALO_SPACINGS = 5.0
-"""Margin of a window, in spacings of the cloud: neighbours of its points lie within."""
-
 Bounds = tuple[float, float, float, float]
 
 
@@ -264,6 +253,11 @@ def describe_scene(
     """
     per_m2 = density(cells.column, cells.row, cells.count)
     low, high = np.percentile(cells.lowest_m, [5, 95])
+    slopes = slopes_deg(cells.column * CELL_M, cells.row * CELL_M, cells.lowest_m)
+    # Level where no ground is smooth enough to tell.
+    slope, steep = np.percentile(slopes, [50, 95]) if len(slopes) else (0.0, 0.0)
+    below = np.cumsum(intensity)
+    tones = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])
     shares = {str(c): n / len(cells.count) for c, n in sorted(cells.class_cells.items())}
     return {
         "points": int(cells.count.sum()),
@@ -272,42 +266,23 @@ def describe_scene(
         "spacing_m": _median_spacing_m(distances_m),
         "extent_m": [bounds_m[i + 3] - bounds_m[i] for i in range(3)],
         "relief_m": float(high - low),
-        "slope_deg": _slopes(cells),
+        "slope_deg": {"median": float(slope), "p95": float(steep)},
         "overhead_cover_share": float(cells.covered.mean()),
         "cover_core_m2": cover_core(cells.column, cells.row, cells.covered) * CELL_M**2,
         "class_shares": shares,
         "has_intensity": int((intensity > 0).sum()) > 1,
-        "intensity": _intensities(intensity),
+        "intensity": dict(zip(("p05", "median", "p95"), map(int, tones), strict=True)),
         "has_colour": has_colour,
     }
 
 
-def _slopes(cells: Cells) -> dict[str, float]:
-    """Percentiles of the ground's slope; level where no ground is smooth enough to tell."""
-    found = slopes_deg(cells.column * CELL_M, cells.row * CELL_M, cells.lowest_m)
-    if len(found) == 0:
-        return {"median": 0.0, "p95": 0.0}
-    median, p95 = np.percentile(found, [50, 95])
-    return {"median": float(median), "p95": float(p95)}
-
-
-def _intensities(counts: Ints) -> dict[str, int]:
-    """Percentiles of the intensities from how many points have each."""
-    below = np.cumsum(counts)
-    p05, median, p95 = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])
-    return {"p05": int(p05), "median": int(median), "p95": int(p95)}
-
-
 # Slope of the ground and what covers it, from occupied cells of 1 m.
 
-_BLOCK_M = 8.0
-"""Edge of the blocks whose slope is measured: about two lanes wide."""
-
+_BLOCK_M = 8.0  # Edge of the blocks whose slope is measured: about two lanes wide.
+# Known cells of the 64 of a block; fewer may lie in a strip, across which the slope is a guess.
 _LEAST_CELLS = 24
-"""Known cells of the 64 of a block; fewer may lie in a strip, across which the slope is a guess."""
-
+# Root mean square distance of smooth ground from its plane; more is a wall, a hedge or forest.
 _ROUGHEST_M = 0.15
-"""Root mean square distance of smooth ground from its plane; more is a wall, a hedge or forest."""
 
 
 def slopes_deg(
@@ -364,8 +339,8 @@ def cover_core(column: Ints, row: Ints, covered: Bools) -> int:
 
 # Settings follow the cloud: nothing finer than the points can resolve (paper 1, Table 2 note).
 
+# Above this spacing K1 neighbours reach over the roughness that tells a lawn from asphalt.
 COARSE_SPACING_M = 0.15
-"""Above this spacing K1 neighbours reach over the roughness that tells a lawn from asphalt."""
 
 
 def plan_spacing_m(points_per_m2: float) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,30 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from roadsight.base.sections.poles import RoadEdges
 
-_MISSED_HOLES = 1e-4
-"""Probability that a disc on the road is empty by chance, at most; it sets the closing radius."""
-
-_LARGEST_CLOSING = 6
-"""Cells; a larger radius would round off corners and join carriageways of very sparse clouds."""
-
-_ROWS = 16
-"""Rows whose labels are counted together: a copy of few labels, not of all."""
-
+# Rows and columns of the blocks in which levels and distances are computed: what a block takes is
+# used again, while memory of the whole view would be touched for the first time.
 _BLOCK = 256
-"""Rows and columns of the blocks in which levels and distances are computed: what a block takes is
-used again, while memory of the whole view would be touched for the first time."""
-
-_LABELS_BLOCK = 4096
-"""The same for labels of components, which need wide surroundings."""
-
-_SHORTEST_M = 3.0
-"""Shorter pieces of edge are dropped."""
-
-BORDER_CELLS = 1.5
-"""Edge points this near to what was not surveyed are ends of the data."""
-
-_BATCH = 1_000
-"""Places of an outline worked on together: their samples stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +65,12 @@ def clean_road(
     surveyed = 1 - without_small(1 - np.maximum(seen, road), least_cells[1])
     inner = (slice(margin, -margin), slice(margin, -margin))
     return RoadImage(road[inner].view(bool), surveyed.view(bool), radius)
+
+
+# Probability that a disc on the road is empty by chance, at most; it sets the closing radius.
+_MISSED_HOLES = 1e-4
+# Cells; a larger radius would round off corners and join carriageways of very sparse clouds.
+_LARGEST_CLOSING = 6
 
 
 def closing_radius(occupied: Bools, is_road: Bools, least: int) -> int:
@@ -192,14 +176,26 @@ def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float)
     return lines
 
 
+# Places of an outline worked on together: their samples stay in the processor's cache.
+_BATCH = 1_000
+
+
 def _to_level(line: Floats, level: NDArray[np.floating], reach: float) -> Floats:
     """Move places of a closed line (n, 2) across it to the nearest crossing of level one half."""
     tangent = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     steps = np.arange(-reach, reach + 0.125, 0.25)
-    parts = [slice(start, start + _BATCH) for start in range(0, len(line), _BATCH)]
-    offset = np.concatenate([_crossing(line[own], normal[own], level, steps) for own in parts])
+    offset = np.empty(len(line))  # to the nearest level of a half, or infinite
+    for start in range(0, len(line), _BATCH):
+        own = slice(start, start + _BATCH)
+        places = line[own][:, None] + steps[:, None] * normal[own][:, None]
+        row, column = places.transpose(2, 0, 1)
+        values = between_pixels(level, row, column) - 0.5
+        crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
+        share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
+        reached = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
+        offset[own] = reached[np.arange(len(reached)), np.abs(reached).argmin(axis=1)]
     found = np.isfinite(offset)
     if not found.any():
         return line
@@ -207,16 +203,6 @@ def _to_level(line: Floats, level: NDArray[np.floating], reach: float) -> Floats
     index = np.arange(len(line))
     offset = np.interp(index, index[found], offset[found], period=len(line))
     return line + offset[:, None] * normal
-
-
-def _crossing(place: Floats, normal: Floats, level: NDArray[np.floating], steps: Floats) -> Floats:
-    """Steps (n,) from places (n, 2) along normals to the nearest level of a half, or infinite."""
-    row, column = (place[:, None] + steps[:, None] * normal[:, None]).transpose(2, 0, 1)
-    values = between_pixels(level, row, column) - 0.5
-    crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
-    share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
-    offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
-    return offset[np.arange(len(place)), np.abs(offset).argmin(axis=1)]
 
 
 @dataclass(frozen=True)
@@ -233,6 +219,10 @@ class EdgeLines:
     place: Floats
     tangent: Floats
     polyline: Ints32
+
+
+_SHORTEST_M = 3.0  # Shorter pieces of edge are dropped.
+BORDER_CELLS = 1.5  # Edge points this near to what was not surveyed are ends of the data.
 
 
 def edge_lines(
@@ -263,6 +253,10 @@ def edge_lines(
     return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
 
 
+_ROWS = 16  # Rows whose labels are counted together: a copy of few labels, not of all.
+_LABELS_BLOCK = 4096  # The same for labels of components, which need wide surroundings.
+
+
 def without_small(mask: Bytes, least_cells: float) -> Bytes:
     """Mask without components (of pixels that share a side) of fewer cells.
 
@@ -272,19 +266,14 @@ def without_small(mask: Bytes, least_cells: float) -> Bytes:
     halo = int(min(np.ceil(least_cells), max(mask.shape)))
     kept = np.empty_like(mask)
     for inner, outer, core in blocks(mask.shape, max(_LABELS_BLOCK, 4 * halo), halo):
-        kept[inner] = _large(mask[outer], least_cells)[core]
+        count, labels = cv2.connectedComponents(mask[outer], connectivity=4)
+        cells = np.zeros(count, np.int64)
+        for start in range(0, len(labels), _ROWS):
+            cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
+        keep = (cells >= least_cells).astype(np.uint8)
+        keep[0] = 0
+        kept[inner] = keep[labels][core]
     return kept
-
-
-def _large(mask: Bytes, least_cells: float) -> Bytes:
-    """Pixels of a mask in components of no fewer cells."""
-    count, labels = cv2.connectedComponents(mask, connectivity=4)
-    cells = np.zeros(count, np.int64)
-    for start in range(0, len(labels), _ROWS):
-        cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
-    keep = (cells >= least_cells).astype(np.uint8)
-    keep[0] = 0
-    return keep[labels]
 
 
 def _disc(radius: int) -> Bytes:
@@ -311,27 +300,25 @@ def between_pixels(image: NDArray[np.floating], row: ArrayLike, column: ArrayLik
     return top * (1.0 - down) + bottom * down
 
 
-class Block(NamedTuple):
-    """Part of an image: ``inner`` of the image, ``outer`` with its surroundings, ``core`` of it.
+def blocks(
+    shape: tuple[int, int], size: int, halo: int
+) -> Iterator[tuple[tuple[slice, ...], tuple[slice, ...], tuple[slice, ...]]]:
+    """Blocks of at most ``size`` rows and columns, with ``halo`` more where there are any.
 
-    What is computed for ``image[outer]`` holds for ``image[inner]`` in ``[core]``.
+    Yields
+    ------
+    inner part of the image, outer one with its surroundings, core of that: what is computed for
+    ``image[outer]`` holds for ``image[inner]`` in ``[core]``.
     """
-
-    inner: tuple[slice, slice]
-    outer: tuple[slice, slice]
-    core: tuple[slice, slice]
-
-
-def blocks(shape: tuple[int, int], size: int, halo: int) -> Iterator[Block]:
-    """Blocks of at most ``size`` rows and columns, with ``halo`` more where there are any."""
     for first_row in range(0, shape[0], size):
         for first_column in range(0, shape[1], size):
-            parts = [
-                _span(first, size, halo, end)
-                for first, end in zip((first_row, first_column), shape, strict=True)
-            ]
+            parts = []
+            for first, end in zip((first_row, first_column), shape, strict=True):
+                start, last = max(first - halo, 0), min(first + size, end)
+                around = slice(start, min(last + halo, end))
+                parts.append((slice(first, last), around, slice(first - start, last - start)))
             inner, outer, core = zip(*parts, strict=True)
-            yield Block(inner, outer, core)
+            yield inner, outer, core
 
 
 def windows_around(
@@ -352,21 +339,12 @@ def windows_around(
             yield own, (slice(low[0], high[0]), slice(low[1], high[1]))
 
 
-def _span(first: int, size: int, halo: int, end: int) -> tuple[slice, slice, slice]:
-    last, start = min(first + size, end), max(first - halo, 0)
-    return (
-        slice(first, last),
-        slice(start, min(last + halo, end)),
-        slice(first - start, last - start),
-    )
-
-
 # Closed lines: places that follow each other, and the first the last.
 #
 # NumPy alone: the filters of larger libraries take longer to load than to run.
 
+# Half width of a Gaussian window in standard deviations, as SciPy cuts it; 6e-5 lies outside.
 _DEVIATIONS = 4.0
-"""Half width of a Gaussian window in standard deviations, as SciPy cuts it; 6e-5 lies outside."""
 
 
 def smoothed(ring: Floats, sigma: float) -> Floats:

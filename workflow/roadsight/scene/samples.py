@@ -15,20 +15,15 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.scene.voxel_planes import VoxelMoments, coarsen, fit_planes, pack_cells, unpack_keys
 
+# Sizes of samples, each twice as large: seen at the same angle they reach 8 times as far.
 SAMPLE_SIZES = 4
-"""Sizes of samples, each twice as large: seen at the same angle they reach 8 times as far."""
-
+# Edge of the blocks of one sample size: a few metres, so that ranges to them are near enough.
 BLOCK_M = 6.4
-"""Edge of the blocks of one sample size: a few metres, so that ranges to them are near enough."""
-
-_MIN_POINTS = 12
-"""Points that carry a plane, as for surfels."""
-
+_MIN_POINTS = 12  # Points that carry a plane, as for surfels.
+# Planes of sparse parts come from voxels up to 2**5 times as large: 1.6 m of 5 cm.
 _PLANE_DOUBLINGS = 5
-"""Planes of sparse parts come from voxels up to 2**5 times as large: 1.6 m of 5 cm."""
-
+# Variance along the second axis, squared voxel edges, below which points lie on a line.
 _ON_LINE = 0.02
-"""Variance along the second axis, squared voxel edges, below which points lie on a line."""
 
 
 @dataclass(frozen=True)

@@ -2,44 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.interpolate import CubicSpline
-from shapely import LinearRing, LineString, MultiPolygon
+from shapely import LineString, MultiPolygon
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
 
-_CORNER_DEG = 60.0
-"""An outline is split where it turns by more than this."""
-
-_LEG_KNOTS = 2
-"""Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
-outline turn as far. In an old town 57 % of the surveyed edges are met within 1 m with legs of 6 or
-9 m and 53 % with 3 m, in a street elsewhere 54, 55 and 47 %."""
-
-_INSIDE_M = 2.0
-"""So far inside its outline a pavement is as wide as it looks, whatever the outline's steps: beside
-a row of parked cars these are as deep as a car is wide. With 1 m, 59.4 instead of 60.5 % of the
-surveyed edges of an old town are met within 1 m, and 56 instead of 63 % in a street elsewhere."""
-
-_LONGER = 2.5
-"""Where a road is cut, the way on along it is so many times as long as the cut, and as the way
-across elsewhere."""
-
-_OPEN_STRIP_M = 3.0
-"""Width of the strips beside the outline in which ground points are compared."""
-
-_STEP_M = 0.08
-"""A real edge shows at least this step in height (a kerb, a ditch) at the end of a road."""
-
+# How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
+# is in another CRS.
 FURTHEST_M = 50.0
-"""How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
-is in another CRS."""
 
 
 def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, Floats]:
@@ -104,35 +79,38 @@ def outline_edges(
     (kind, line) pairs: "edge" on outer rings, "median" on holes; lines run with the pavement on
     their left (outer rings) so that all face the road alike.
     """
-    ground = _Ground(shapely.STRtree(shapely.points(ground_xyz_m[:, :2])), ground_xyz_m[:, 2])
+    tree = shapely.STRtree(shapely.points(ground_xyz_m[:, :2]))
     edges = []
     for polygon in outline.geoms:
         rings = [("edge", polygon.exterior), *(("median", hole) for hole in polygon.interiors)]
         for kind, ring in rings:
             if ring.length < settings.shortest_m:
                 continue
-            knots = _knots(ring, settings.knot_spacing_m)
-            keep = ~_open_ends(knots, outline, ground, settings)
+            # Knots at equal steps, counter-clockwise, the first one not repeated.
+            along = ring if ring.is_ccw else shapely.reverse(ring)
+            count = max(4, round(ring.length / settings.knot_spacing_m))
+            steps = shapely.line_interpolate_point(along, np.arange(count) / count, normalized=True)
+            knots = shapely.get_coordinates(steps)
+            keep = ~_open_ends(knots, outline, tree, ground_xyz_m[:, 2], settings)
             edges += [(kind, line) for line in _pieces(knots, keep, settings)]
     return edges
 
 
-def _knots(ring: LinearRing, spacing_m: float) -> Floats:
-    """Points at equal steps on a ring, counter-clockwise, the first one not repeated."""
-    ring = ring if ring.is_ccw else shapely.reverse(ring)
-    count = max(4, round(ring.length / spacing_m))
-    steps = np.arange(count) / count
-    return shapely.get_coordinates(shapely.line_interpolate_point(ring, steps, normalized=True))
+# So far inside its outline a pavement is as wide as it looks, whatever the outline's steps: beside
+# a row of parked cars these are as deep as a car is wide. With 1 m, 59.4 instead of 60.5 % of the
+# surveyed edges of an old town are met within 1 m, and 56 instead of 63 % in a street elsewhere.
+_INSIDE_M = 2.0
+# Where a road is cut, the way on along it is so many times as long as the cut, and as the way
+# across elsewhere.
+_LONGER = 2.5
+_OPEN_STRIP_M = 3.0  # Width of the strips beside the outline in which ground points are compared.
+# A real edge shows at least this step in height (a kerb, a ditch) at the end of a road.
+_STEP_M = 0.08
 
 
-class _Ground(NamedTuple):
-    """Thinned ground points in a search tree, and their heights."""
-
-    tree: shapely.STRtree
-    z_m: Floats
-
-
-def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: Edges) -> Bools:
+def _open_ends(
+    knots: Floats, outline: MultiPolygon, tree: shapely.STRtree, z_m: Floats, settings: Edges
+) -> Bools:
     """Knots where the road runs on but the found pavement stops, so that there is no real edge.
 
     There, the way ahead into the pavement is far longer than elsewhere (it runs along the road),
@@ -151,10 +129,16 @@ def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: 
     long = far.copy()
     long[far] = ahead[far] > _LONGER * along
     width = _OPEN_STRIP_M
-    (outside, z_out), (inside, z_in), (_, z_far) = (
-        _strip(ground, knots + start * width * normal, normal, tangent, settings)
-        for start in (-1, 0, 1)
-    )
+    strips = []  # number and median height (NaN if none) of ground points in each knot's box
+    for start in (-1, 0, 1):
+        near = knots + start * width * normal
+        far, half = width * normal, 0.5 * settings.knot_spacing_m * tangent
+        corners = np.stack([near - half, near + half, near + half + far, near - half + far], axis=1)
+        box, point = tree.query(shapely.polygons(corners), predicate="intersects")
+        heights = pd.Series(z_m[point]).groupby(box).median()
+        number = np.bincount(box, minlength=len(knots))
+        strips.append((number, heights.reindex(range(len(knots))).to_numpy()))
+    (outside, z_out), (inside, z_in), (_, z_far) = strips
     # Against the height to which the two strips inside lead on: the road's own slope is no step.
     step = np.abs(z_out - (2 * z_in - z_far))
     cut = long & ((outside < 0.25 * inside) | (step < _STEP_M))
@@ -164,32 +148,33 @@ def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: 
 
 def _chords_m(outline: MultiPolygon, starts: Floats, directions: Floats) -> Floats:
     """Length of pavement met first when going from each outline point along its direction."""
-    return np.array([_chord_m(outline, *way) for way in zip(starts, directions, strict=True)])
+    chords = []
+    for start, way in zip(starts, directions, strict=True):
+        # From just inside the outline, which is not crossed at once, and farther than roads go.
+        ray = LineString([start + 0.05 * way, start + 200.0 * way])
+        parts = shapely.get_parts(shapely.intersection(ray, outline))
+        near = (p.length for p in parts if p.distance(shapely.Point(start)) < 1.0)
+        chords.append(next(near, 0.0))
+    return np.array(chords)
 
 
-def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
-    """Length of pavement met first when going from an outline point along a direction."""
-    # From just inside the outline, which is not crossed at once, and farther than roads are wide.
-    ray = LineString([start + 0.05 * direction, start + 200.0 * direction])
-    parts = shapely.get_parts(shapely.intersection(ray, outline))
-    return next((p.length for p in parts if p.distance(shapely.Point(start)) < 1.0), 0.0)
-
-
-def _strip(
-    ground: _Ground, start: Floats, normal: Floats, tangent: Floats, settings: Edges
-) -> tuple[Ints, Floats]:
-    """Number and median height (NaN if none) of ground points in the box beyond each start."""
-    half = 0.5 * settings.knot_spacing_m * tangent
-    far = _OPEN_STRIP_M * normal
-    corners = np.stack([start - half, start + half, start + half + far, start - half + far], axis=1)
-    box, point = ground.tree.query(shapely.polygons(corners), predicate="intersects")
-    heights = pd.Series(ground.z_m[point]).groupby(box).median()
-    return np.bincount(box, minlength=len(start)), heights.reindex(range(len(start))).to_numpy()
+_CORNER_DEG = 60.0  # An outline is split where it turns by more than this.
+# Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
+# outline turn as far. In an old town 57 % of the surveyed edges are met within 1 m with legs of 6
+# or 9 m and 53 % with 3 m, in a street elsewhere 54, 55 and 47 %.
+_LEG_KNOTS = 2
 
 
 def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
     """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
-    split = ~keep | _corners(knots)
+    # Corners: the ring turns sharply there, and more than at the knots beside them.
+    back = knots - np.roll(knots, _LEG_KNOTS, axis=0)
+    ahead = np.roll(back, -_LEG_KNOTS, axis=0)
+    cross = back[:, 0] * ahead[:, 1] - back[:, 1] * ahead[:, 0]
+    turn = np.abs(np.arctan2(cross, (back * ahead).sum(axis=1)))
+    near = range(1, _LEG_KNOTS + 1)
+    before, after = (np.max([np.roll(turn, sign * k) for k in near], axis=0) for sign in (1, -1))
+    split = ~keep | ((turn > np.radians(_CORNER_DEG)) & (turn > before) & (turn >= after))
     if not split.any():
         return [LineString(np.vstack([knots, knots[:1]]))]
     first = -int(np.flatnonzero(split)[0])
@@ -203,14 +188,3 @@ def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
             run = [knot] if kept else []
     lines = [LineString(run) for run in runs if len(run) >= 2]
     return [line for line in lines if line.length >= settings.shortest_m]
-
-
-def _corners(knots: Floats) -> Bools:
-    """Knots of a ring at which it turns sharply, and more than at those beside them."""
-    back = knots - np.roll(knots, _LEG_KNOTS, axis=0)
-    on = np.roll(back, -_LEG_KNOTS, axis=0)
-    cross = back[:, 0] * on[:, 1] - back[:, 1] * on[:, 0]
-    turn = np.abs(np.arctan2(cross, (back * on).sum(axis=1)))
-    near = range(1, _LEG_KNOTS + 1)
-    before, after = (np.max([np.roll(turn, sign * k) for k in near], axis=0) for sign in (1, -1))
-    return (turn > np.radians(_CORNER_DEG)) & (turn > before) & (turn >= after)

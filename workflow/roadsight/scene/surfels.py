@@ -27,27 +27,16 @@ from roadsight.scene.voxel_planes import (
 )
 
 _COARSEST_M = 0.8  # sparse parts get voxels up to this edge, or two doublings
-
 _MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
-
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
-
 _HOLE_POINTS = 5  # points around an empty voxel that carry a plane
-
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
-
 _FLATTER = 0.35  # times that for each doubling, or twigs and wires pass for sparse surfaces
-
 _WIDE = 0.25  # variance along both axes of a wide surface, squared voxel edges
-
 _NEAR = 0.05  # points this near to a plane are on it, whatever its spread, voxel edges
-
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
-
 _OVERLAP = 0.1  # surfels extend this far beyond their cell, finest voxel edges
-
 _MERGE = 0.2  # merged patches depart this far from their parts, finest voxel edges
-
 _LONE_HALF = 0.25  # half edge of the crossed squares of a lone voxel, voxel edges
 
 
@@ -110,8 +99,16 @@ def _fit_patches(voxels: VoxelMoments, own: Bools | None) -> tuple[list[Patches]
         if level:
             sparse = settled & (planes.spread <= flat)
             if level > 1:
-                sparse &= _is_wide(keys, coarser, flat * _FLATTER)
-            near = _near_plane(points[pending] / 2**level, keys[member], planes, member)
+                # Sparse ground goes on over voxels of twice the edge; parallel wires, and stray
+                # points beside an object, span no wide plane.
+                parents, child = np.unique(pack_cells(unpack_keys(keys) >> 1), return_inverse=True)
+                wide = fit_planes(parents, coarser, _MIN_POINTS, flat * _FLATTER)
+                goes_on = (wide.spread <= flat * _FLATTER) & (wide.variance[:, 1] > _WIDE)
+                sparse &= goes_on[child]
+            away = points[pending] / 2**level - unpack_keys(keys[member]) - 0.5
+            away = away * planes.normal[member]
+            distance = np.abs(away.sum(axis=1) - planes.offset[member])
+            near = distance <= 2.5 * np.sqrt(planes.spread[member]) + _NEAR
             thin.append(finest[pending[settled[member] & ~(sparse[member] & near)]])
             good = sparse & (np.bincount(member[near], minlength=len(keys)) > 0)
         holes = _holes(keys, planes, good, voxels, flat)
@@ -121,26 +118,9 @@ def _fit_patches(voxels: VoxelMoments, own: Bools | None) -> tuple[list[Patches]
     return by_size, np.sort(np.concatenate(thin))
 
 
-def _is_wide(keys: Ints, coarser: VoxelMoments, flat: float) -> Bools:
-    """Whether the surface goes on over voxels of twice the edge.
-
-    Sparse ground does; parallel wires, and stray points beside an object, span no wide plane.
-    """
-    parents, member = np.unique(pack_cells(unpack_keys(keys) >> 1), return_inverse=True)
-    planes = fit_planes(parents, coarser, _MIN_POINTS, flat)
-    return ((planes.spread <= flat) & (planes.variance[:, 1] > _WIDE))[member]
-
-
 def _patches(keys: Ints, planes: Planes, chosen: Bools, size_m: float) -> Patches:
     cells = unpack_keys(keys[chosen])
     return patches_of_planes(cells, planes.normal[chosen], planes.offset[chosen], size_m)
-
-
-def _near_plane(points: NDArray[np.floating], keys: Ints, planes: Planes, rows: Ints) -> Bools:
-    """Whether points, in voxel edges, lie on the planes (by row) of the voxels ``keys``."""
-    offset = (points - unpack_keys(keys) - 0.5) * planes.normal[rows]
-    distance = np.abs(offset.sum(axis=1) - planes.offset[rows])
-    return distance <= 2.5 * np.sqrt(planes.spread[rows]) + _NEAR
 
 
 def _holes(keys: Ints, planes: Planes, good: Bools, voxels: VoxelMoments, flat: float) -> Patches:
@@ -185,23 +165,17 @@ def _line_surfels(cells: NDArray[np.floating], planes: Planes, voxels: VoxelMome
     along = ((place + 0.5) / count[line] - 0.5) * length[line]
     middle = planes.centroid - (planes.centroid * planes.axis).sum(axis=1)[:, None] * planes.axis
     centre = (cells + middle)[line] + along[:, None] * planes.axis[line]
-    first = _across(planes.axis, planes.normal)
+    # Across the axes, the normals where they are. Points on a perfect line lie in any plane through
+    # it, and the fitted normal may lie along it: one across the coordinate axis that is least along
+    # the line will do.
+    least = np.eye(3)[np.abs(planes.axis).argmin(axis=1)]
+    lost = np.abs((planes.axis * planes.normal).sum(axis=1)) > 0.5
+    second = np.cross(planes.axis, np.where(lost[:, None], least, planes.normal))
+    across = np.cross(second, planes.axis)
+    first = across / np.linalg.norm(across, axis=1, keepdims=True)
     normal = np.concatenate([first[line], np.cross(planes.axis, first)[line]])
     half_m = np.tile(half[line] * voxels.edge_m, 2)
     return _as_surfels(np.tile(centre * voxels.edge_m, (2, 1)), normal, half_m)
-
-
-def _across(axis: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Unit vectors (n, 3) across the axes, the normals where they are.
-
-    Points on a perfect line lie in any plane through it, and the normal that was fitted may lie
-    along it: one across the coordinate axis that is least along the line will do.
-    """
-    least = np.eye(3)[np.abs(axis).argmin(axis=1)]
-    lost = np.abs((axis * normal).sum(axis=1)) > 0.5
-    second = np.cross(axis, np.where(lost[:, None], least, normal))
-    other = np.cross(second, axis)
-    return np.asarray(other / np.linalg.norm(other, axis=1, keepdims=True))
 
 
 def _as_surfels(centre_m: NDArray, normal: NDArray, half_m: NDArray) -> Surfels:
@@ -430,19 +404,16 @@ def in_company(
 # Here the scene is divided into blocks, and each block gets voxels about as large as the spacing
 # of its own points.
 
+# Blocks are 2**6 of the finest voxels wide (6.4 m of 0.1 m): some thousand points of a mobile
+# cloud, some hundred of an airborne one, and finer than density changes along a road.
 _BLOCK_DOUBLINGS = 6
-"""Blocks are 2**6 of the finest voxels wide (6.4 m of 0.1 m): some thousand points of a mobile
-cloud, some hundred of an airborne one, and finer than density changes along a road."""
-
+# Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface.
 _MOST_DOUBLINGS = 5
-"""Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface."""
-
+# A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
+# ones would string them up as wires.
 _FEWEST_POINTS = 12
-"""A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
-ones would string them up as wires."""
-
+# Blocks around those of a size that its surfels may draw on; they reach a few voxels at most.
 _MARGIN_BLOCKS = 1
-"""Blocks around those of a size that its surfels may draw on; they reach a few voxels at most."""
 
 
 def build_local_surfels(voxels: VoxelMoments) -> Surfels:
@@ -453,13 +424,21 @@ def build_local_surfels(voxels: VoxelMoments) -> Surfels:
     """
     if not len(voxels.keys):
         return build_surfels(voxels)
+    from scipy import ndimage  # noqa: PLC0415  # slow to load
+
     west_south = (unpack_keys(voxels.keys)[:, :2] >> _BLOCK_DOUBLINGS).min(axis=0)
     level = _levels(voxels, west_south)
     parts: list[Surfels] = []
     for doubling in range(_MOST_DOUBLINGS + 1):
         own = level == doubling
         if own.any():
-            parts.append(_surfels_of(voxels, own, west_south, doubling))
+            # From voxels of this size in these blocks and around them.
+            around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN_BLOCKS)
+            cells = unpack_keys(voxels.keys)[:, :2] >> (_BLOCK_DOUBLINGS - doubling)
+            column, row = (cells - west_south).T
+            near = around[column, row]
+            part = VoxelMoments(voxels.edge_m, voxels.keys[near], voxels.moments[near])
+            parts.append(build_surfels(part, own[column, row][near]))
         voxels = coarsen(voxels)
     return concatenate(parts)
 
@@ -484,15 +463,3 @@ def _levels(voxels: VoxelMoments, west_south: Ints) -> Ints:
     level = np.floor(np.log2(np.maximum(spacing_m / voxels.edge_m, 1.0))).astype(np.int64)
     level[total < _FEWEST_POINTS] = 0
     return np.where(total > 0, np.minimum(level, _MOST_DOUBLINGS), -1)
-
-
-def _surfels_of(voxels: VoxelMoments, own: Bools, west_south: Ints, doubling: int) -> Surfels:
-    """Surfels of the blocks of one size, from voxels of that size in them and around them."""
-    from scipy import ndimage  # noqa: PLC0415  # slow to load
-
-    around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN_BLOCKS)
-    cells = unpack_keys(voxels.keys)[:, :2] >> (_BLOCK_DOUBLINGS - doubling)
-    column, row = (cells - west_south).T
-    near = around[column, row]
-    part = VoxelMoments(voxels.edge_m, voxels.keys[near], voxels.moments[near])
-    return build_surfels(part, own[column, row][near])

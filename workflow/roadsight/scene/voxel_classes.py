@@ -20,28 +20,21 @@ from roadsight.base.kernels import compiled
 from roadsight.geometry.frames import Frame
 from roadsight.scene.classes import BRIDGE, ROAD
 
-CLASS_BITS = 8
-"""Bits of a point's class in its key: LAS has 256 classes."""
-
+CLASS_BITS = 8  # Bits of a point's class in its key: LAS has 256 classes.
+# Bits of a point's height above its voxel's floor: 256ths of an edge, a millimetre at 0.25 m.
 _HEIGHT_BITS = 8
-"""Bits of a point's height above its voxel's floor: 256ths of an edge, a millimetre at 0.25 m."""
-
+# What the sign, class and height leave of a 64 bit key for the number of the voxel.
 _KEY_BITS = 63 - CLASS_BITS - _HEIGHT_BITS
-"""What the sign, class and height leave of a 64 bit key for the number of the voxel."""
-
+# How far points are moved, so that all on a face fall to the same side, see `VoxelGrid`.
 _NUDGE_M = 2.5e-4
-"""How far points are moved, so that all on a face fall to the same side, see `VoxelGrid`."""
-
+# Rounding of a tile's borders: voxels this near to one may still get points of the next tile.
 _SLACK_M = 1e-6
-"""Rounding of a tile's borders: voxels this near to one may still get points of the next tile."""
-
+# Points are counted by column where the box around them has at most so many columns for each; a
+# sparser box, such as that of stray points, would take more memory than sorting keys does.
 _COLUMNS_A_POINT = 8
-"""Points are counted by column where the box around them has at most so many columns for each; a
-sparser box, such as that of stray points, would take more memory than sorting keys does."""
-
+# Steps along chains of runs for each point, on average, before keys are sorted instead: columns of
+# very many layers would otherwise take a time that grows with their square.
 _STEPS_A_POINT = 32
-"""Steps along chains of runs for each point, on average, before keys are sorted instead: columns of
-very many layers would otherwise take a time that grows with their square."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +249,7 @@ def seen_from_above(grid: VoxelGrid, voxels: Voxels) -> Columns:
     return Columns(row, column, cls, height, share)
 
 
-# Compiled loops over sorted voxels, see `roadsight.scene.voxel_classes`.
+# Compiled loops over sorted voxels.
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -394,8 +387,8 @@ def tops(
 # The runs of a column hang on each other by rising layer and class. They are few, however many
 # points there are, so that a point soon finds its own.
 
+# Columns of a run: layer and class, the next run of its column, points, sum of their heights.
 _KIND, _NEXT, _POINTS, _HEIGHTS = range(4)
-"""Columns of a run: layer and class, the next run of its column, points, sum of their heights."""
 
 
 @compiled(nogil=True)

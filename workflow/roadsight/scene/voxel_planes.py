@@ -18,20 +18,12 @@ from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.kernels import compiled, compiled_part
 
-_BITS = 21
-"""Bits of an index in a key: three of them fill the 63 bits that the sign leaves."""
-
-_HALF = 1 << (_BITS - 1)
-"""What is added to an index, so that it is not negative."""
-
-_MASK = (1 << _BITS) - 1
-"""The bits of one index."""
-
+_BITS = 21  # Bits of an index in a key: three of them fill the 63 bits that the sign leaves.
+_HALF = 1 << (_BITS - 1)  # What is added to an index, so that it is not negative.
+_MASK = (1 << _BITS) - 1  # The bits of one index.
 # What a step to the next voxel along an axis adds to a key.
 X_STEP = 1 << (2 * _BITS)
-
 Y_STEP = 1 << _BITS
-
 Z_STEP = 1
 
 
@@ -176,8 +168,8 @@ def _shifted(moments: Floats32, shift: NDArray[np.floating]) -> Floats32:
 
 # Planes through the points of voxel neighbourhoods, from moments alone.
 
+# Points of a 2 x 2 x 2 corner that carry a plane of its own: two more than define one.
 _BLOCK_POINTS = 5
-"""Points of a 2 x 2 x 2 corner that carry a plane of its own: two more than define one."""
 
 
 class Planes(NamedTuple):
@@ -217,22 +209,17 @@ def fit_planes(keys: Ints, voxels: VoxelMoments, min_points: int, flat_variance:
     keys : (m,) increasing; they need not be occupied.
     flat_variance : greatest variance across a plane that counts as flat, squared voxel edges.
     """
-    planes = _empty(len(keys))
+    n = len(keys)
+    normal, variance, centroid, axis = (np.zeros((n, 3), np.float32) for _ in range(4))
+    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
+    planes = Planes(normal, offset, spread, variance, centroid, axis, points, own)
     _fit(keys, voxels.keys, voxels.moments, min_points, flat_variance, planes)
     return planes
 
 
 def open_neighbours(keys: Ints, planes: Planes, voxels: VoxelMoments) -> Ints:
     """Empty voxels beside the given ones in which their planes continue; increasing keys."""
-    found = _continue_planes(keys, planes.normal, planes.offset, voxels.keys)
-    return np.unique(found)
-
-
-def _empty(n: int) -> Planes:
-    vectors = (np.zeros((n, 3), np.float32) for _ in range(4))
-    normal, variance, centroid, axis = vectors
-    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
-    return Planes(normal, offset, spread, variance, centroid, axis, points, own)
+    return np.unique(_continue_planes(keys, planes.normal, planes.offset, voxels.keys))
 
 
 @compiled_part()

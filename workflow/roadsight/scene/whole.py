@@ -17,6 +17,7 @@ from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Ground, GroundClasses, GroundFilter, PavementOutline
 from roadsight.base.seeds import SEED
+from roadsight.scene.classes import ROADS, WATER
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.fpfh import describe_ground, fit_smoothness, is_smooth
@@ -38,11 +39,10 @@ from roadsight.scene.profile import count_cells, density, plan_spacing_m, uses_i
 from roadsight.scene.terrain.ground_settings import ground_settings_for
 from roadsight.scene.terrain.terrain import Bounds, TerrainModel, coarse_of_tiles, label_ground
 
+# A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
+# gigabytes.
 _LARGEST_TILE_M = 500.0
-"""A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
-gigabytes."""
-_THINNED_M = 0.2
-"""Columns of which the lowest point tells the surface of a road."""
+_THINNED_M = 0.2  # Columns of which the lowest point tells the surface of a road.
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -144,12 +144,9 @@ def near_ground(xyz_m: Floats, settings: GroundFilter | None = None) -> Bools:
     return (rise > -allowed) & (rise < allowed + _lift_m(xyz_m, rise))
 
 
-_LAYER_M = 0.6
-"""Points up to this above the coarse ground are asked for the middle of its layer."""
-_MOST_LIFT_M = 0.25
-"""Layers that are thicker are no ground (roughest_m), or low plants."""
-_THIN_M = 0.03
-"""A layer of exact scans lies so far above its lowest points."""
+_LAYER_M = 0.6  # Points up to this above the coarse ground are asked for the middle of its layer.
+_MOST_LIFT_M = 0.25  # Layers that are thicker are no ground (roughest_m), or low plants.
+_THIN_M = 0.03  # A layer of exact scans lies so far above its lowest points.
 
 
 def _lift_m(xyz_m: Floats, rise_m: Floats) -> float:
@@ -187,11 +184,7 @@ class FoundRoad:
     surface_m: Floats
 
 
-_ROAD_CLASSES = (11, 17)
-"""Road surface, and bridge deck, which no coarse ground knows of."""
-_WATER = 9
-NEVER_CLASSES = (7, _WATER, 18)
-"""Low noise, water, high noise."""
+NEVER_CLASSES = (7, WATER, 18)  # Low noise, water, high noise.
 
 
 def road_of(
@@ -214,10 +207,10 @@ def road_of(
     InputError : a seed lies off the ground, or no smooth ground is wide enough for a road.
     """
     settings, known = settings or RoadSettings(), known or KnownRoad()
-    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, _ROAD_CLASSES)
+    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, ROADS)
     never = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, NEVER_CLASSES)
     near = np.flatnonzero((near_ground(xyz_m) | said) & ~never)
-    water = None if classes is None else xyz_m[classes == _WATER, :2]
+    water = None if classes is None else xyz_m[classes == WATER, :2]
     surface = find_road(
         xyz_m[near],
         None if intensity is None else intensity[near],
@@ -228,18 +221,23 @@ def road_of(
     points = np.zeros(len(xyz_m), bool)
     points[near] = road_points(surface, xyz_m[near], settings)
     outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementOutline())
-    return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
+    # The lowest point of each column.
+    x, y, z = xyz_m[near].T
+    cell = Grid.around(x, y, _THINNED_M).flat(x, y)
+    order = np.lexsort((z, cell))
+    _, first = np.unique(cell[order], return_index=True)
+    return FoundRoad(outline, points, xyz_m[near][order[first]]), surface
 
 
+# Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
+# too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903.
 _CORE_M = 1.5
-"""Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
-too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903."""
+# What lies farther from the smooth ground is not looked at: wider than a shoulder and a verge.
 _AROUND_M = 15.0
-"""What lies farther from the smooth ground is not looked at: wider than a shoulder and a verge."""
+# Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked.
 _LEAST_WITHIN = 0.9
-"""Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked."""
+# Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road.
 _LEAST_KEPT = 0.7
-"""Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road."""
 
 
 @dataclass(frozen=True)
@@ -309,15 +307,6 @@ def sharpen(
     shared = shapely.intersection(road.outline, outline).area
     areas = max(road.outline.area, 1e-9), max(outline.area, 1e-9)
     return Sharpened(road, surface, *(float(shared / area) for area in areas))
-
-
-def _thinned(xyz_m: Floats) -> Floats:
-    """The lowest point of each column, of points (n, 3) near the ground."""
-    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _THINNED_M)
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    order = np.lexsort((xyz_m[:, 2], cell))
-    _, first = np.unique(cell[order], return_index=True)
-    return xyz_m[order[first]]
 
 
 def published_road(

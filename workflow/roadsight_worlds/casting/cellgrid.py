@@ -13,12 +13,11 @@ from roadsight_worlds.casting.alignment import to_plan
 from roadsight_worlds.casting.primitives import Bodies, body_extent_m
 from roadsight_worlds.casting.terrain import CellBounds, Terrain, cell_bounds
 
+# The grid is so much wider than what it holds, so that nothing lies on its border by rounding.
 _PAD_M = 1e-4
-"""The grid is so much wider than what it holds, so that nothing lies on its border by rounding."""
+# Cells of a grid; a larger scene gets larger cells, so that memory stays bounded.
 _MAX_CELLS = 1 << 20
-"""Cells of a grid; a larger scene gets larger cells, so that memory stays bounded."""
-BLOCK = 8
-"""Cells along the side of a block, which a ray above or below all of it skips at once."""
+BLOCK = 8  # Cells along the side of a block, which a ray above or below all of it skips at once.
 
 
 class CellGrid(NamedTuple):
@@ -62,7 +61,13 @@ def build_grid(bodies: Bodies, terrain: Terrain, cell_m: float) -> CellGrid:
     """
     extent = body_extent_m(bodies) + _PAD_M
     low, high = bodies.centre_m - extent, bodies.centre_m + extent
-    ends = np.concatenate([low[:, :2], high[:, :2], _terrain_corners(terrain)])
+    ends = np.concatenate([low[:, :2], high[:, :2]])
+    if terrain.end_m >= terrain.start_m:
+        stations, step = np.linspace(terrain.start_m, terrain.end_m, 257, retstep=True)
+        offsets = np.repeat([terrain.right_m, terrain.left_m], len(stations))
+        corners = to_plan(terrain.alignment, np.column_stack([np.tile(stations, 2), offsets]))
+        bulge = abs(terrain.alignment.curvature_per_m) * float(step) ** 2  # 8 sagittas
+        ends = np.concatenate([ends, corners - bulge, corners + bulge])
     ends = ends if len(ends) else np.zeros((1, 2))  # an empty scene is one empty cell
     corner, width = ends.min(axis=0) - _PAD_M, np.ptp(ends, axis=0) + 2.0 * _PAD_M
     cell_m = max(cell_m, math.sqrt(width[0] * width[1] / _MAX_CELLS))
@@ -100,17 +105,6 @@ def _by_block(heights_m: Floats, extreme: np.ufunc, nothing: float) -> Floats:
     padded = np.full((rows * BLOCK, columns * BLOCK), nothing)
     padded[: heights_m.shape[0], : heights_m.shape[1]] = heights_m
     return extreme.reduce(padded.reshape(rows, BLOCK, columns, BLOCK), axis=(1, 3))
-
-
-def _terrain_corners(terrain: Terrain) -> Floats:
-    """Plan points (n, 2) whose bounding box holds the terrain."""
-    if terrain.end_m < terrain.start_m:
-        return np.empty((0, 2))
-    stations, step = np.linspace(terrain.start_m, terrain.end_m, 257, retstep=True)
-    offsets = np.repeat([terrain.right_m, terrain.left_m], len(stations))
-    corners = to_plan(terrain.alignment, np.column_stack([np.tile(stations, 2), offsets]))
-    bulge = abs(terrain.alignment.curvature_per_m) * float(step) ** 2  # 8 sagittas
-    return np.concatenate([corners - bulge, corners + bulge])
 
 
 @compiled(error_model="numpy")

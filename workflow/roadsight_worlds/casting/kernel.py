@@ -9,7 +9,5 @@ from __future__ import annotations
 from roadsight.base.kernels import compiled, compiled_part
 
 _OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
-
 kernel = compiled_part(**_OPTIONS)
-compiled_kernel = compiled(**_OPTIONS)
-"""The same of what Python calls as well."""
+compiled_kernel = compiled(**_OPTIONS)  # The same of what Python calls as well.

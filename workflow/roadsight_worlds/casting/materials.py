@@ -35,6 +35,7 @@ class Material:
     roughness_m: float
 
 
+# By name; arrays by material have their rows in this order.
 MATERIALS = {
     "asphalt": Material(0.12, 0.0),
     "marking": Material(0.65, 0.0),
@@ -47,6 +48,4 @@ MATERIALS = {
     "wood": Material(0.30, 0.003),
     "leaves": Material(0.55, 0.030),
 }
-"""By name; arrays by material have their rows in this order."""
-
 MATERIAL_NAMES = tuple(MATERIALS)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Floats, Ints32
 from roadsight_worlds.casting.kernel import kernel
 
-MIN_RANGE_M = 1e-6
-"""Hits no further than this are the surface that the ray starts on."""
+MIN_RANGE_M = 1e-6  # Hits no further than this are the surface that the ray starts on.
 RECTANGLE, BOX, CYLINDER, TUBE, ELLIPSOID = range(5)
 
 

@@ -16,9 +16,8 @@ from roadsight_worlds.casting.primitives import Bodies
 from roadsight_worlds.casting.terrain import Terrain
 from roadsight_worlds.casting.traversal import cast_rays
 
+# Directions whose length is further from 1 are refused, because ranges would not be metres.
 _UNIT_TOLERANCE = 1e-6
-"""Directions whose length is further from 1 are refused, because ranges would not be metres."""
-
 NO_TERRAIN = Terrain(
     Alignment(0.0, 0.0, 1.0, 0.0, 0.0),
     0.0,

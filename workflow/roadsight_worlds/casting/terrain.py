@@ -19,8 +19,8 @@ from roadsight.base.kernels import compiled
 from roadsight_worlds.casting.alignment import Alignment, heading_at, road_point, to_road
 from roadsight_worlds.casting.kernel import compiled_kernel, kernel
 
+# Bounds are so much wider than computed: far more than rounding, far less than a bump.
 _SLACK_M = 1e-6
-"""Bounds are so much wider than computed: far more than rounding, far less than a bump."""
 
 
 class Terrain(NamedTuple):

@@ -13,18 +13,13 @@ from roadsight_worlds.casting.kernel import kernel
 from roadsight_worlds.casting.primitives import MIN_RANGE_M, Bodies, body_normal, ray_body
 from roadsight_worlds.casting.terrain import Terrain, exists, surface_gradient, surface_height
 
-_GROUND = -1
-"""Stands for the ground where other hits are numbers of bodies."""
-_NOTHING = -2
-"""Stands for no hit."""
+_GROUND = -1  # Stands for the ground where other hits are numbers of bodies.
+_NOTHING = -2  # Stands for no hit.
+# Least step of the march above the ground, without which it would creep where a ray grazes; a
+# shorter contact may be passed over.
 _MIN_STEP_M = 2e-4
-"""Least step of the march above the ground, without which it would creep where a ray grazes; a
-shorter contact may be passed over."""
-_ROOT_M = 1e-10
-"""Width of the interval at which the search for a crossing ends."""
-_ROOT_HEIGHT_M = 1e-12
-"""Clearance at which the search for a crossing ends."""
-
+_ROOT_M = 1e-10  # Width of the interval at which the search for a crossing ends.
+_ROOT_HEIGHT_M = 1e-12  # Clearance at which the search for a crossing ends.
 Ray = tuple[float, float, float, float, float, float]
 
 

@@ -13,17 +13,14 @@ from roadsight_worlds.highway.highway_ground import HALF_WIDTH_M
 from roadsight_worlds.highway.mobile_scanner import PointChunk
 from roadsight_worlds.highway.returns import LaserModel, measure
 
-FLIGHT_HEIGHT_M = 1000.0
-"""Of the aircraft above the road, as of the rural road's survey."""
-LINES_M = (150.0, -150.0)
-"""Offsets of the flight lines: pulses lean by up to 11 degrees."""
+FLIGHT_HEIGHT_M = 1000.0  # Of the aircraft above the road, as of the rural road's survey.
+LINES_M = (150.0, -150.0)  # Offsets of the flight lines: pulses lean by up to 11 degrees.
+# Pulses start so far from the road: above all that stands, within the laser model's range.
 _START_M = 80.0
-"""Pulses start so far from the road: above all that stands, within the laser model's range."""
 _LASER = LaserModel(
     range_sigma_m=0.02, mixed_edge_share=0.0, multipath_share=0.0, clutter_share=0.0
 )
-_PULSES_S = 500_000.0
-"""Pulses a second; each has a time of its own."""
+_PULSES_S = 500_000.0  # Pulses a second; each has a time of its own.
 
 
 def survey(highway: Highway, points: int, rng: np.random.Generator) -> Iterator[PointChunk]:

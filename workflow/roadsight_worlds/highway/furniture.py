@@ -1,29 +1,23 @@
-"""Built things of the sample highway: barriers, rails, tunnel, poles, signs, cars."""
+"""What stands beside the sample highway: barriers, rails, tunnel, poles, signs, cars; plants."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from roadsight.base.arrays import Floats
 from roadsight_worlds.casting.materials import TruthClass
 from roadsight_worlds.highway.highway_ground import WING_M, CrossSection
 from roadsight_worlds.highway.roadside import Roadside
 
-_WALL_INNER_M = 12.5
-"""Offset of the inner face of the tunnel's outer walls."""
-_WALL_OUTER_M = 13.5
-"""Offset of their outer face."""
-_CLEARANCE_M = 6.6
-"""Height of the tunnel's ceiling above the road."""
+_WALL_INNER_M = 12.5  # Offset of the inner face of the tunnel's outer walls.
+_WALL_OUTER_M = 13.5  # Offset of their outer face.
+_CLEARANCE_M = 6.6  # Height of the tunnel's ceiling above the road.
+# Top of the portal wall above the road: it holds back the hill (`HILL_HEIGHT_M`).
 _PORTAL_TOP_M = 9.0
-"""Top of the portal wall above the road: it holds back the hill (`HILL_HEIGHT_M`)."""
-_RAIL_OFFSET_M = 12.35
-"""Offset of guard rails, in front of poles and signs."""
-_POST_OFFSET_M = 12.95
-"""Offset of lamps, signs and the gantry's post."""
-BUILDING_SHARE = 0.42
-"""Place of the hut along the open road; plants keep off it."""
-BUILDING_OFFSET_M = -36.0
-"""Its offset; below 0 is right of the road."""
+_RAIL_OFFSET_M = 12.35  # Offset of guard rails, in front of poles and signs.
+_POST_OFFSET_M = 12.95  # Offset of lamps, signs and the gantry's post.
+_BUILDING_SHARE = 0.42  # Place of the hut along the open road; plants keep off it.
+_BUILDING_OFFSET_M = -36.0  # Its offset; below 0 is right of the road.
 
 
 def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: float) -> None:
@@ -41,15 +35,13 @@ def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: f
         add_sign(road, share * open_m, side * _POST_OFFSET_M)
     for share, length in ((0.26, 4.6), (0.34, 4.2)):
         add_car(road, share * open_m, section.lane_edges_m[-1] + 1.3, length)
-    add_building(road, BUILDING_SHARE * open_m)
+    add_building(road, _BUILDING_SHARE * open_m)
 
 
+# Height of the wires above the road: between the lowest and the highest place of a sensor.
 _WIRE_M = 8.0
-"""Height of the wires above the road: between the lowest and the highest place of a sensor."""
-_CANOPY_M = 5.2
-"""Height of the canopy's underside above the road."""
-_BEAM_M = 6.2
-"""Height of the gantry's beam above the road."""
+_CANOPY_M = 5.2  # Height of the canopy's underside above the road.
+_BEAM_M = 6.2  # Height of the gantry's beam above the road.
 
 
 def add_overhead(road: Roadside, open_m: float) -> None:
@@ -162,6 +154,65 @@ def add_car(road: Roadside, station_m: float, distance_m: float, length_m: float
 def add_building(road: Roadside, station_m: float) -> None:
     """Hut at the foot of the fill, askew to the road."""
     hut = road.new("building", "concrete", TruthClass.STRUCTURE)
-    ground = road.point(station_m, BUILDING_OFFSET_M)[2]
+    ground = road.point(station_m, _BUILDING_OFFSET_M)[2]
     limits = ground - 1.0, ground + 3.8
-    road.box(hut, station_m, BUILDING_OFFSET_M, limits, (4.0, 3.0), yaw_deg=12.0)
+    road.box(hut, station_m, _BUILDING_OFFSET_M, limits, (4.0, 3.0), yaw_deg=12.0)
+
+
+_TREES_PER_M = 0.24  # Tried places by length of road; those too near to something else stay empty.
+_BUSHES_PER_M = 0.36  # As of trees.
+_KEEP_OFF_M = 6.0  # Between a tree and anything else, about the width of a crown.
+
+
+def add_vegetation(road: Roadside, open_m: float, rng: np.random.Generator) -> None:
+    """Plant both slopes along the open road; every plant keeps off the poles and off the others.
+
+    Crowns are many leaf clumps, so that rays get in between.
+    """
+    taken = [(pole.station_m, pole.offset_m) for pole in road.poles]
+    taken.append((_BUILDING_SHARE * open_m, _BUILDING_OFFSET_M))
+    for plant, per_m, gap_m in ((_tree, _TREES_PER_M, _KEEP_OFF_M), (_bush, _BUSHES_PER_M, 2.0)):
+        for _ in range(round(per_m * open_m)):
+            side = rng.choice([-1.0, 1.0])
+            at = rng.uniform(2.0, open_m - 4.0), side * rng.uniform(16.0, 40.0)
+            if all(np.hypot(at[0] - s, at[1] - o) > gap_m for s, o in taken):
+                taken.append(at)
+                plant(road, at, rng)
+
+
+def _tree(road: Roadside, at: tuple[float, float], rng: np.random.Generator) -> None:
+    """Trunk and an egg-shaped crown of leaf clumps."""
+    height = rng.uniform(5.5, 10.5)
+    trunk = road.new("trunk", "wood", TruthClass.HIGH_VEGETATION)
+    ground = road.post(trunk, *at, 0.55 * height, 0.018 * height)
+    crown = road.new("tree", "leaves", TruthClass.HIGH_VEGETATION)
+    x, y, _ = road.point(*at)
+    middle = np.array([x, y, ground + 0.66 * height])
+    half = height * np.array([0.24, 0.24, 0.33])
+    _leaves(road, crown, middle, half, round(12.0 * height), (0.14, 0.42), rng)
+
+
+def _bush(road: Roadside, at: tuple[float, float], rng: np.random.Generator) -> None:
+    """Low round bush without a trunk."""
+    bush = road.new("bush", "leaves", TruthClass.LOW_VEGETATION)
+    size = rng.uniform(0.5, 1.1)
+    x, y, ground = road.point(*at)
+    middle = np.array([x, y, ground + 0.6 * size])
+    _leaves(road, bush, middle, size * np.array([1.0, 1.0, 0.7]), 24, (0.08, 0.25), rng)
+
+
+def _leaves(
+    road: Roadside,
+    object_id: int,
+    middle: Floats,
+    half: Floats,
+    count: int,
+    radii_m: tuple[float, float],
+    rng: np.random.Generator,
+) -> None:
+    """Fill an ellipsoid with clumps, denser towards its shell as light makes real crowns."""
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    depth = rng.uniform(0.15, 1.0, (count, 1)) ** 0.5
+    size = rng.uniform(*radii_m, (count, 1)) * rng.uniform(0.6, 1.0, (count, 3))
+    road.clumps(object_id, middle + direction * depth * half, size)

@@ -18,7 +18,7 @@ from roadsight_worlds.casting.alignment import Alignment, to_road
 from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass
 from roadsight_worlds.casting.scene import Scene, SceneBuilder
 from roadsight_worlds.casting.terrain import Terrain
-from roadsight_worlds.highway.furniture import add_furniture, add_overhead
+from roadsight_worlds.highway.furniture import add_furniture, add_overhead, add_vegetation
 from roadsight_worlds.highway.highway_ground import (
     CrossSection,
     highway_terrain,
@@ -26,26 +26,17 @@ from roadsight_worlds.highway.highway_ground import (
     is_paved,
 )
 from roadsight_worlds.highway.roadside import Pole, Roadside
-from roadsight_worlds.highway.vegetation import add_vegetation
 
+# UTM zone 50 north on WGS 84: metres, and places far from 0, where single precision fails.
 EPSG = 32650
-"""UTM zone 50 north on WGS 84: metres, and places far from 0, where single precision fails."""
-ORIGIN_M = (668_000.0, 3_547_000.0, 0.0)
-"""Easting, northing and height of station 0."""
-_USUAL = Sample()
-"""What a highway is, unless asked for another."""
-_HEADING_DEG = 25.0
-"""Of the road at station 0, from east to north: along neither axis."""
-_HEIGHT_M = 25.0
-"""Of the road at station 0."""
-_TUNNEL_M = 30.0
-"""Length of the tunnel at the end, at most a quarter of the road."""
-_FAR_M = 200.0
-"""A tunnel that begins so far behind the end is none."""
-_SHORTEST_M = 40.0
-"""Shorter roads leave no room for what stands beside them."""
-_LONGEST_M = 600.0
-"""On longer ones the usual arc would turn by more than a radian."""
+ORIGIN_M = (668_000.0, 3_547_000.0, 0.0)  # Easting, northing and height of station 0.
+_USUAL = Sample()  # What a highway is, unless asked for another.
+_HEADING_DEG = 25.0  # Of the road at station 0, from east to north: along neither axis.
+_HEIGHT_M = 25.0  # Of the road at station 0.
+_TUNNEL_M = 30.0  # Length of the tunnel at the end, at most a quarter of the road.
+_FAR_M = 200.0  # A tunnel that begins so far behind the end is none.
+_SHORTEST_M = 40.0  # Shorter roads leave no room for what stands beside them.
+_LONGEST_M = 600.0  # On longer ones the usual arc would turn by more than a radian.
 
 
 @dataclass(frozen=True)

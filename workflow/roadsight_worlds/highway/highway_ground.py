@@ -12,22 +12,16 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight_worlds.casting.alignment import Alignment
 from roadsight_worlds.casting.terrain import Terrain
 
-_STATION_STEP_M = 0.4
-"""Nodes of the bumps along the road."""
+_STATION_STEP_M = 0.4  # Nodes of the bumps along the road.
+# Nodes of the bumps across the road, denser, so that those of the verge do not touch the pavement.
 _OFFSET_STEP_M = 0.2
-"""Nodes of the bumps across the road, denser, so that those of the verge do not touch the
-pavement."""
-_COARSE_STEP_M = 3.0
-"""Nodes of the slow waves of the land beside the road."""
-_COARSE_SIGMA_M = 0.12
-"""Height of these waves, one sigma."""
-HALF_WIDTH_M = 45.0
-"""The ground ends so far to either side of the road."""
+_COARSE_STEP_M = 3.0  # Nodes of the slow waves of the land beside the road.
+_COARSE_SIGMA_M = 0.12  # Height of these waves, one sigma.
+HALF_WIDTH_M = 45.0  # The ground ends so far to either side of the road.
+# Top of the hill over the tunnel, above the road: above its ceiling, below the portal's top.
 HILL_HEIGHT_M = 8.2
-"""Top of the hill over the tunnel, above the road: above its ceiling, below the portal's top."""
+# Offset at which the portal's wings end; beyond them the hill begins further back and rises gently.
 WING_M = 24.0
-"""Offset at which the portal's wings end; beyond them the hill begins further back and rises
-gently."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +97,22 @@ def highway_terrain(
         -HALF_WIDTH_M - 2 * _OFFSET_STEP_M, HALF_WIDTH_M + 3 * _OFFSET_STEP_M, _OFFSET_STEP_M
     )
     profile_offset, profile_height = section.profile()
-    bumps = rng.uniform(-1.0, 1.0, (len(station), len(offset))) * _roughness(section, offset)
+    inner, outer = section.pavement_m
+    clear = 1.5 * _OFFSET_STEP_M  # reach of a node: rough nodes must not touch the pavement
+    distance = np.abs(offset)
+    slopes = outer + 0.1 + section.verge_m
+    parts = [distance < inner - clear, distance < outer + clear, distance < slopes]
+    # Next to none on pavement, centimetres beside it.
+    rough = np.select(parts, [0.03, 0.0003, 0.07], 0.15)
+    bumps = rng.uniform(-1.0, 1.0, (len(station), len(offset))) * rough
     bumps += _undulation(section, station, offset, rng)
     cover = HILL_HEIGHT_M - np.interp(offset, profile_offset, profile_height)
-    hill = _hill_share(section, station, offset, tunnel_start_m) * np.maximum(cover, 0.0)
+    # None of the hill over the road, all behind the portal.
+    beyond = np.maximum(distance - WING_M + 1.0, 0.0)
+    start, width = tunnel_start_m + 0.3 * beyond, 0.6 + 3.0 * beyond
+    rise = np.clip((station[:, None] - start) / width, 0.0, 1.0)
+    share = np.where(distance > outer + 1.25, rise * rise * (3.0 - 2.0 * rise), 0.0)
+    hill = share * np.maximum(cover, 0.0)
     return Terrain(
         alignment,
         height_m,
@@ -126,19 +132,6 @@ def highway_terrain(
     )
 
 
-def _roughness(section: CrossSection, offset: Floats) -> Floats:
-    """Amplitude of the bumps at each node: next to none on pavement, centimetres beside it."""
-    inner, outer = section.pavement_m
-    clear = 1.5 * _OFFSET_STEP_M  # reach of a node: rough nodes must not touch the pavement
-    distance = np.abs(offset)
-    slopes = outer + 0.1 + section.verge_m
-    return np.select(
-        [distance < inner - clear, distance < outer + clear, distance < slopes],
-        [0.03, 0.0003, 0.07],
-        0.15,
-    )
-
-
 def _undulation(
     section: CrossSection, station: Floats, offset: Floats, rng: np.random.Generator
 ) -> Floats:
@@ -153,17 +146,6 @@ def _undulation(
     waves = ndimage.map_coordinates(nodes, at, order=1, mode="nearest")
     slopes = section.pavement_m[1] + 0.1 + section.verge_m
     return waves * np.clip((np.abs(offset) - slopes) / 3.0, 0.025, 1.0)
-
-
-def _hill_share(
-    section: CrossSection, station: Floats, offset: Floats, tunnel_start_m: float
-) -> Floats:
-    """Share of the hill's height at each node: none over the road, all behind the portal."""
-    beyond = np.maximum(np.abs(offset) - WING_M + 1.0, 0.0)
-    start, width = tunnel_start_m + 0.3 * beyond, 0.6 + 3.0 * beyond
-    rise = np.clip((station[:, None] - start) / width, 0.0, 1.0)
-    behind_walls = np.abs(offset) > section.pavement_m[1] + 1.25
-    return np.where(behind_walls, rise * rise * (3.0 - 2.0 * rise), 0.0)
 
 
 def is_marking(section: CrossSection, station_m: ArrayLike, offset_m: ArrayLike) -> Bools:

@@ -17,15 +17,13 @@ from roadsight_worlds.casting.scene import rotation_zyx
 from roadsight_worlds.highway.highway import Highway
 from roadsight_worlds.highway.returns import LaserModel, measure
 
+# Pulses of a trial that tells which share returns, so that the cloud gets about as many points as
+# asked for.
 _PILOT_PULSES = 20_000
-"""Pulses of a trial that tells which share returns, so that the cloud gets about as many points as
-asked for."""
+# Pulses fired at once; they bound memory, and other numbers give other noise.
 _CHUNK_PULSES = 400_000
-"""Pulses fired at once; they bound memory, and other numbers give other noise."""
-_EVEN_SPACING_AT_M = 5.0
-"""Lines are as far apart here as the points on them."""
-_TURNAROUND_S = 120.0
-"""Between the drives on the two carriageways; GPS times jump by it."""
+_EVEN_SPACING_AT_M = 5.0  # Lines are as far apart here as the points on them.
+_TURNAROUND_S = 120.0  # Between the drives on the two carriageways; GPS times jump by it.
 
 
 @dataclass(frozen=True)

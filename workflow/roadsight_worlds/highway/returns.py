@@ -11,12 +11,10 @@ from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight_worlds.casting.materials import MATERIAL_NAMES, MATERIALS, TruthClass
 from roadsight_worlds.highway.highway import Highway
 
+# By row of `MATERIAL_NAMES`.
 _REFLECTANCE = np.array([MATERIALS[name].reflectance for name in MATERIAL_NAMES])
-"""By row of `MATERIAL_NAMES`."""
 _ROUGHNESS_M = np.array([MATERIALS[name].roughness_m for name in MATERIAL_NAMES])
-"""By row of `MATERIAL_NAMES`."""
-_HALF_SIGNAL_M = 30.0
-"""Range at which intensity has fallen to half."""
+_HALF_SIGNAL_M = 30.0  # Range at which intensity has fallen to half.
 
 
 @dataclass(frozen=True)
@@ -79,37 +77,30 @@ def measure(
     pulse = pulse[objects[pulse] >= 0]
     surface_m, object_id = ranges[pulse], objects[pulse]
     plan = origins_m[pulse, :2] + surface_m[:, None] * directions[pulse, :2]
-    material, truth = _surface(highway, object_id, plan)
+    things = highway.scene.objects
+    material = np.array([MATERIAL_NAMES.index(o.material) for o in things], np.uint8)[object_id]
+    truth = np.array([o.truth_class for o in things], np.uint8)[object_id]
+    ground = object_id == highway.terrain.object_id
+    material[ground] = highway.ground_materials(plan[ground])
+    truth[ground] = highway.ground_classes(plan[ground])
     cosine = np.abs(np.einsum("ij,ij->i", normals[pulse], directions[pulse]))
     strength = _REFLECTANCE[material] * np.exp(rng.normal(0.0, laser.signal_spread, len(pulse)))
     heard = strength * cosine >= laser.weakest_signal_per_m2 * surface_m**2
-    intensity = _intensity(_REFLECTANCE[material], cosine, surface_m, rng)
+    # On a 16 bit scale, weaker with range and incidence, 5 % speckle.
+    attenuation = np.sqrt(cosine) / (1.0 + (surface_m / _HALF_SIGNAL_M) ** 2)
+    speckle = np.exp(rng.normal(0.0, 0.05, len(surface_m)))
+    light = 65535.0 * _REFLECTANCE[material] * attenuation * speckle
+    intensity = np.clip(light, 1.0, 65535.0).astype(np.uint16)
     noise = rng.normal(0.0, 1.0, len(pulse))
     measured = surface_m + noise * np.hypot(laser.range_sigma_m, _ROUGHNESS_M[material])
     measured, truth = _mixed_edges(pulse, object_id, surface_m, measured, truth, laser, rng)
-    measured, truth = _multipath(measured, truth, laser, rng)
+    # Some returns of road and ground arrive late.
+    chance, delay = rng.random(len(truth)), rng.uniform(0.3, 3.0, len(truth))
+    late = np.isin(truth, (TruthClass.ROAD, TruthClass.GROUND)) & (chance < laser.multipath_share)
+    measured = measured + np.where(late, delay, 0.0)
+    truth = np.where(late, TruthClass.LOW_NOISE, truth)
     echoes = Echoes(pulse[heard], measured[heard], intensity[heard], truth[heard])
     return _with_clutter(echoes, ranges, laser, rng)
-
-
-def _surface(highway: Highway, object_id: Ints32, plan_m: Floats) -> tuple[Bytes, Bytes]:
-    """Material (row of `MATERIAL_NAMES`) and true class of each hit."""
-    objects = highway.scene.objects
-    material = np.array([MATERIAL_NAMES.index(o.material) for o in objects], np.uint8)[object_id]
-    truth = np.array([o.truth_class for o in objects], np.uint8)[object_id]
-    ground = object_id == highway.terrain.object_id
-    material[ground] = highway.ground_materials(plan_m[ground])
-    truth[ground] = highway.ground_classes(plan_m[ground])
-    return material, truth
-
-
-def _intensity(
-    reflectance: Floats, cosine: Floats, range_m: Floats, rng: np.random.Generator
-) -> NDArray[np.uint16]:
-    """Amplitude on a 16 bit scale, weaker with range and incidence, 5 % speckle."""
-    attenuation = np.sqrt(cosine) / (1.0 + (range_m / _HALF_SIGNAL_M) ** 2)
-    speckle = np.exp(rng.normal(0.0, 0.05, len(range_m)))
-    return np.clip(65535.0 * reflectance * attenuation * speckle, 1.0, 65535.0).astype(np.uint16)
 
 
 def _mixed_edges(
@@ -129,15 +120,6 @@ def _mixed_edges(
     edge &= (np.abs(surface_m - before) > 0.3) & (chance < laser.mixed_edge_share)
     mixed = surface_m + share * (before - surface_m)
     return np.where(edge, mixed, measured_m), np.where(edge, TruthClass.LOW_NOISE, truth)
-
-
-def _multipath(
-    measured_m: Floats, truth: Bytes, laser: LaserModel, rng: np.random.Generator
-) -> tuple[Floats, Bytes]:
-    """Some returns of road and ground arrive late."""
-    chance, delay = rng.random(len(truth)), rng.uniform(0.3, 3.0, len(truth))
-    late = np.isin(truth, (TruthClass.ROAD, TruthClass.GROUND)) & (chance < laser.multipath_share)
-    return measured_m + np.where(late, delay, 0.0), np.where(late, TruthClass.LOW_NOISE, truth)
 
 
 def _with_clutter(

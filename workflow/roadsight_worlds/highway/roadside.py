@@ -12,10 +12,9 @@ from roadsight_worlds.casting.primitives import BOX, CYLINDER, ELLIPSOID
 from roadsight_worlds.casting.scene import SceneBuilder, rotation_zyx
 from roadsight_worlds.casting.terrain import Terrain, surface_height
 
+# Posts reach so far into the ground, so that no gap shows below them on a slope.
 _FOUNDATION_M = 0.4
-"""Posts reach so far into the ground, so that no gap shows below them on a slope."""
-_PIECE_M = 4.0
-"""Longest straight piece of what follows the road."""
+_PIECE_M = 4.0  # Longest straight piece of what follows the road.
 
 
 @dataclass(frozen=True)

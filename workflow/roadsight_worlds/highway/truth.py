@@ -5,34 +5,16 @@ from __future__ import annotations
 import geopandas as gpd
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import Floats
 from roadsight_worlds.casting.alignment import to_plan
 from roadsight_worlds.casting.primitives import BOX, ELLIPSOID, RECTANGLE, Bodies, body_extent_m
-from roadsight_worlds.casting.scene import Scene
-from roadsight_worlds.casting.terrain import height_at
-from roadsight_worlds.highway.highway import Highway, build_highway
+from roadsight_worlds.highway.highway import Highway
 
-_LINE_STEP_M = 0.5
-"""Chords that edges are drawn by."""
+_LINE_STEP_M = 0.5  # Chords that edges are drawn by.
+# Least and greatest distance between the points that a person would click on an edge.
 _CLICK_SPACING_M = (15.0, 25.0)
-"""Least and greatest distance between the points that a person would click on an edge."""
-_CLICK_SIGMA_M = 0.05
-"""How far a person clicks beside the edge, one sigma."""
-
-
-def sample_scene(seed: int, length_m: float) -> Scene:
-    """Exact scene of the sample site in its local frame (see `Highway.frame`)."""
-    return build_highway(seed, length_m).scene
-
-
-def surface_at(highway: Highway, xy_m: ArrayLike) -> tuple[Bytes, Floats]:
-    """True class (n,) and exact height (n,) of the ground at local plan points (n, 2), metres.
-
-    The height is NaN beyond the site; objects that stand on the ground do not count.
-    """
-    return highway.ground_classes(xy_m), height_at(highway.terrain, xy_m)
+_CLICK_SIGMA_M = 0.05  # How far a person clicks beside the edge, one sigma.
 
 
 def truth_layers(highway: Highway) -> dict[str, gpd.GeoDataFrame]:
@@ -40,10 +22,18 @@ def truth_layers(highway: Highway) -> dict[str, gpd.GeoDataFrame]:
 
     Curves are drawn by chords of 0.5 m, at most 0.06 mm off. A pole's point is its foot.
     """
+    inner, outer = highway.section.pavement_m
+    rings = [(_line(highway, s * inner), _line(highway, s * outer)[::-1]) for s in (1.0, -1.0)]
+    shapes = [shapely.Polygon(np.concatenate(ring)) for ring in rings]
+    listed = {
+        name: [getattr(pole, name) for pole in highway.poles]
+        for name in ("kind", "station_m", "offset_m", "height_m", "radius_m")
+    }
+    feet = [shapely.Point(pole.xyz_m) for pole in highway.poles]
     return {
-        "pavement": _pavement(highway),
+        "pavement": gpd.GeoDataFrame({"carriageway": ["left", "right"]}, geometry=shapes),
         "edges": _edges(highway),
-        "poles": _poles(highway),
+        "poles": gpd.GeoDataFrame(listed, geometry=feet),
         "objects": _objects(highway),
     }
 
@@ -58,21 +48,15 @@ def digitised_edges(highway: Highway, rng: np.random.Generator) -> gpd.GeoDataFr
     lines = {"left": (outer, "edge"), "median": (0.0, "median"), "right": (-outer, "edge")}
     clicked = []
     for offset, _ in lines.values():
-        stations = _click_stations(highway.length_m, rng)
-        exact = to_plan(
-            highway.alignment, np.column_stack([stations, np.full_like(stations, offset)])
-        )
+        stations = [0.0]
+        while stations[-1] + _CLICK_SPACING_M[1] < highway.length_m:
+            stations.append(stations[-1] + rng.uniform(*_CLICK_SPACING_M))
+        stations.append(highway.length_m)  # the last step as it comes out
+        road = np.column_stack([stations, np.full(len(stations), offset)])
+        exact = to_plan(highway.alignment, road)
         clicked.append(exact + rng.normal(0.0, _CLICK_SIGMA_M, exact.shape))
     columns = {"edge": list(lines), "kind": [kind for _, kind in lines.values()]}
     return gpd.GeoDataFrame(columns, geometry=[shapely.LineString(line) for line in clicked])
-
-
-def _click_stations(length_m: float, rng: np.random.Generator) -> Floats:
-    """Stations from the start to the end of the site, the last step as it comes out."""
-    stations = [0.0]
-    while stations[-1] + _CLICK_SPACING_M[1] < length_m:
-        stations.append(stations[-1] + rng.uniform(*_CLICK_SPACING_M))
-    return np.array([*stations, length_m])
 
 
 def _line(highway: Highway, offset_m: float) -> Floats:
@@ -80,17 +64,6 @@ def _line(highway: Highway, offset_m: float) -> Floats:
     pieces = int(np.ceil(highway.length_m / _LINE_STEP_M))
     stations = np.linspace(0.0, highway.length_m, pieces + 1)
     return to_plan(highway.alignment, np.column_stack([stations, np.full_like(stations, offset_m)]))
-
-
-def _pavement(highway: Highway) -> gpd.GeoDataFrame:
-    inner, outer = highway.section.pavement_m
-    shapes = [
-        shapely.Polygon(
-            np.concatenate([_line(highway, s * inner), _line(highway, s * outer)[::-1]])
-        )
-        for s in (1.0, -1.0)
-    ]
-    return gpd.GeoDataFrame({"carriageway": ["left", "right"]}, geometry=shapes)
 
 
 def _edges(highway: Highway) -> gpd.GeoDataFrame:
@@ -106,15 +79,6 @@ def _edges(highway: Highway) -> gpd.GeoDataFrame:
     shapes = [shapely.LineString(_line(highway, offset)) for offset in offsets.values()]
     columns = {"edge": list(offsets), "kind": kinds, "offset_m": list(offsets.values())}
     return gpd.GeoDataFrame(columns, geometry=shapes)
-
-
-def _poles(highway: Highway) -> gpd.GeoDataFrame:
-    columns = {
-        name: [getattr(pole, name) for pole in highway.poles]
-        for name in ("kind", "station_m", "offset_m", "height_m", "radius_m")
-    }
-    feet = [shapely.Point(pole.xyz_m) for pole in highway.poles]
-    return gpd.GeoDataFrame(columns, geometry=feet)
 
 
 def _objects(highway: Highway) -> gpd.GeoDataFrame:

@@ -23,19 +23,17 @@ from roadsight_worlds.rendering.rendering_shade import Hits, Look, shade
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_road import RuralSite
 
+# Shadows fall on what is nearer to the camera; what is further away counts as lit.
 _SHADOW_REACH_M = 120.0
-"""Shadows fall on what is nearer to the camera; what is further away counts as lit."""
+# Leaves further from the camera get `_FAR_LEAF_LIT` of the sun instead of a ray each.
 _LEAF_SHADOW_REACH_M = 60.0
-"""Leaves further from the camera get `_FAR_LEAF_LIT` of the sun instead of a ray each."""
-_FAR_LEAF_LIT = 0.8
-"""Less than all of the sun, because crowns shade themselves."""
+_FAR_LEAF_LIT = 0.8  # Less than all of the sun, because crowns shade themselves.
+# Rays to the sun start so far off the surface, or they would meet it again in single precision.
 _SHADOW_LIFT_M = 0.02
-"""Rays to the sun start so far off the surface, or they would meet it again in single precision."""
-_CHUNK_RAYS = 400_000
-"""Rays cast at once; they bound memory."""
+# Shifts, px, of four more rays in pixels at thin outlines, turned so that no two share a row or
+# column.
 _SUPER = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
-"""Shifts, px, of four more rays in pixels at thin outlines, turned so that no two share a row or
-column."""
+# By `Material`, and last by nothing: what is often thinner than a pixel.
 _THIN = np.array(
     [
         m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
@@ -43,10 +41,9 @@ _THIN = np.array(
     ]
     + [False]
 )
-"""By `Material`, and last by nothing: what is often thinner than a pixel."""
 _NOTHING = len(Material)
+# By `Material`: what lets some of the sun through.
 _LEAFY = np.isin(np.arange(len(Material)), (Material.LEAVES, Material.BUSH))
-"""By `Material`: what lets some of the sun through."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +158,15 @@ class RuralRenderer:
         lit = self.sunlit(cast, look.sun)
         pixel_rad = 1.0 / camera.intrinsics.focal_px
         colour, classes = self._shaded(look, self._hits(cast, directions, lit, pixel_rad))
-        rows = self._thin_edges(cast.triangle, size)
+        # Pixels at and beside the outlines of thin things.
+        material = np.where(cast.triangle >= 0, self.site.mesh.material[cast.triangle], _NOTHING)
+        thin = np.where(_THIN[material], 1 + self.site.mesh.object_id[cast.triangle], 0)
+        image = thin.reshape(size).astype(np.float32)
+        box = np.ones((3, 3), np.uint8)
+        outline = cv2.dilate(image, box) != cv2.erode(image, box)
+        # A far wire hits the centres of few of the pixels that it crosses.
+        wire = (material == Material.WIRE).reshape(size).astype(np.uint8)
+        rows = np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
         for shift in _SUPER if len(rows) else []:
             turned = _pixel_rays(camera, uv[rows] + shift, lens)
             extra = self.cast(camera.position_m, turned)
@@ -173,17 +178,6 @@ class RuralRenderer:
         )
         picture = finish.apply(colour.reshape(*size, 3), np.random.default_rng(seed))
         return RenderedView(picture, classes.reshape(size), depth.astype(np.float32).reshape(size))
-
-    def _thin_edges(self, triangle: Ints32, size: tuple[int, int]) -> NDArray[np.intp]:
-        """Pixels at and beside the outlines of thin things."""
-        material = np.where(triangle >= 0, self.site.mesh.material[triangle], _NOTHING)
-        thin = np.where(_THIN[material], 1 + self.site.mesh.object_id[triangle], 0)
-        image = thin.reshape(size).astype(np.float32)
-        box = np.ones((3, 3), np.uint8)
-        outline = cv2.dilate(image, box) != cv2.erode(image, box)
-        # A far wire hits the centres of few of the pixels that it crosses.
-        wire = (material == Material.WIRE).reshape(size).astype(np.uint8)
-        return np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
 
 
 @cache

@@ -7,8 +7,7 @@ import math
 from roadsight_worlds.casting.kernel import kernel
 
 Colour = tuple[float, float, float]
-_MASK = 0xFFFFFFFF
-"""Keeps whole numbers at 32 bits."""
+_MASK = 0xFFFFFFFF  # Keeps whole numbers at 32 bits.
 
 
 @kernel

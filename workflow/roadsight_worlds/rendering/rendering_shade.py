@@ -29,28 +29,13 @@ from roadsight_worlds.rural.rural_materials import (
 from roadsight_worlds.rural.rural_surface import Surface, ground_kind
 
 # Plain numbers, as compiled code takes them.
-_GRASS = int(Ground.GRASS)
-_SHOULDER = int(Ground.SHOULDER)
-_ROAD = int(Ground.ROAD)
-_SIDE = int(Ground.SIDE_ROAD)
-_GRAVEL = int(Ground.GRAVEL_DRIVE)
-_BRIDGE = int(Ground.BRIDGE)
-_WHITE = int(Ground.WHITE_LINE)
-_YELLOW = int(Ground.YELLOW_LINE)
-_GROUND = int(Material.GROUND)
-_FAR = int(Material.FAR_FOREST)
-_LEAVES = int(Material.LEAVES)
-_BUSH = int(Material.BUSH)
-_WOOD = int(Material.POLE_WOOD)
-_BARK = int(Material.BARK)
-_WALL = int(Material.WALL)
-_ROOF = int(Material.ROOF)
-_PAINT = int(Material.PAINT)
-_SIGN = int(Material.SIGN_PAINT)
-_DELINEATOR = int(Material.DELINEATOR)
-_SKY = 9
-"""`PixelClass.SKY`."""
-
+_GRASS, _SHOULDER, _ROAD, _SIDE, _GRAVEL, _, _WHITE, _YELLOW, _BRIDGE = map(int, Ground)
+_GROUND, _FAR = int(Material.GROUND), int(Material.FAR_FOREST)
+_LEAVES, _BUSH = int(Material.LEAVES), int(Material.BUSH)
+_WOOD, _BARK = int(Material.POLE_WOOD), int(Material.BARK)
+_WALL, _ROOF = int(Material.WALL), int(Material.ROOF)
+_PAINT, _SIGN = int(Material.PAINT), int(Material.SIGN_PAINT)
+_SKY = 9  # `PixelClass.SKY`.
 _PLAIN = np.zeros((len(Material), 3))
 for _material, _bgr in {
     Material.WIRE: (0.03, 0.03, 0.03),
@@ -71,12 +56,13 @@ for _material, _bgr in {
     Material.DELINEATOR: (0.75, 0.78, 0.8),
 }.items():
     _PLAIN[_material] = _bgr
+# Colours of vehicles: blue, green, red.
 _PAINTS = np.array(
     [[0.5, 0.5, 0.5], [0.03, 0.03, 0.4], [0.3, 0.12, 0.03], [0.02, 0.02, 0.02], [0.7, 0.7, 0.7]]
 )
-"""Colours of vehicles: blue, green, red."""
+# Colours of walls: blue, green, red.
 _WALLS = np.array([[0.62, 0.66, 0.68], [0.35, 0.5, 0.6], [0.5, 0.42, 0.35], [0.12, 0.16, 0.38]])
-"""Colours of walls: blue, green, red."""
+# Colours of signs: yellow, white, red, green, blue, orange, brown, lime, grey, black.
 _SIGNS = np.array(
     [
         [0.02, 0.5, 0.8],
@@ -91,7 +77,6 @@ _SIGNS = np.array(
         [0.02, 0.02, 0.02],
     ]
 )
-"""Colours of signs: yellow, white, red, green, blue, orange, brown, lime, grey, black."""
 
 
 class Look(NamedTuple):

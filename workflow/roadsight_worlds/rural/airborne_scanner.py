@@ -25,30 +25,21 @@ from roadsight_worlds.rural.rural_materials import (
 )
 from roadsight_worlds.rural.rural_surface import ground_kinds
 
-_STRIP_M = 40.0
-"""Length of the road that is scanned at once; it bounds memory."""
+_STRIP_M = 40.0  # Length of the road that is scanned at once; it bounds memory.
+# Pulses start so high above the ground that they aim at: above everything that stands on it.
 _START_ABOVE_M = 90.0
-"""Pulses start so high above the ground that they aim at: above everything that stands on it."""
-_GAP_SHARE = 0.55
-"""Share of the pulses that go on through leaves, bushes and wires after a return."""
-_GAP_M = 0.6
-"""A pulse that goes on may meet the next thing 0.3 to 2 times this behind a return."""
-_MOST_RETURNS = 4
-"""Returns of a pulse."""
-_LOW_M = 0.5
-"""Plants below this are low vegetation (class 3)."""
-_MEDIUM_M = 2.0
-"""Plants below this are medium vegetation (class 4), those above it high (class 5)."""
-_EDGE_M = 1.0
-"""Points within this distance of the pavement's edge may have the wrong class."""
-_USUAL = Sample()
-"""What a site is, unless asked for another."""
+_GAP_SHARE = 0.55  # Share of the pulses that go on through leaves, bushes and wires after a return.
+_GAP_M = 0.6  # A pulse that goes on may meet the next thing 0.3 to 2 times this behind a return.
+_MOST_RETURNS = 4  # Returns of a pulse.
+_LOW_M = 0.5  # Plants below this are low vegetation (class 3).
+_MEDIUM_M = 2.0  # Plants below this are medium vegetation (class 4), those above it high (class 5).
+_EDGE_M = 1.0  # Points within this distance of the pavement's edge may have the wrong class.
+_USUAL = Sample()  # What a site is, unless asked for another.
+# What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles 15
+# and what is left 64.
 CLASS_SCHEMES = ("usual", "none", "unclassified", "lines")
-"""What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles
-15 and what is left 64."""
 _LINE = (Material.POLE_WOOD, Material.FITTING, Material.WIRE, Material.STEEL_POST)
-_OPEN = (Material.LEAVES, Material.BUSH, Material.WIRE)
-"""What lets a part of a pulse through."""
+_OPEN = (Material.LEAVES, Material.BUSH, Material.WIRE)  # What lets a part of a pulse through.
 
 
 @dataclass(frozen=True)
@@ -121,12 +112,22 @@ def _strip(
     rng: np.random.Generator,
 ) -> Returns:
     """Every return of the pulses aimed at a stretch of road."""
-    road = _aims(start_m, end_m, scanner, rng)
+    # Stations and offsets of a jittered grid with the wanted density.
+    cell = 1.0 / np.sqrt(scanner.pulses_per_m2)
+    station = np.arange(start_m, end_m, cell)
+    offset = np.arange(-scanner.half_width_m, scanner.half_width_m, cell)
+    grid = np.stack(np.meshgrid(station, offset, indexing="ij"), axis=-1).reshape(-1, 2)
+    road = grid + rng.uniform(0.0, cell, grid.shape)
     line = rng.integers(0, 2, len(road))
     origin, ray, angle = _pulses(renderer, road, line, scanner)
     pulse, number, hits = _echoes(renderer, origin, ray, rng)
     classes, reflectance = _surfaces(renderer, hits)
-    classes = _edge_errors(renderer, hits, classes, scanner.edge_error_share, rng)
+    # Swap road and ground for some points near the pavement's edge.
+    edge = renderer.site.ground.section.pavement_m
+    near = np.abs(np.abs(hits.road_m[:, 1]) - edge) < _EDGE_M
+    swap = near & np.isin(classes, (2, 11))
+    swap &= rng.uniform(size=len(classes)) < scanner.edge_error_share
+    classes = np.where(swap, 13 - classes, classes).astype(np.uint8)
     along = ray[pulse]
     classes = _in_scheme(renderer, hits, classes, scanner.class_scheme)
     noise = rng.normal(0.0, scanner.plan_sigma_m, (len(pulse), 3))
@@ -162,17 +163,6 @@ def _in_scheme(renderer: RuralRenderer, hits: Cast, classes: Bytes, scheme: str)
     material = renderer.site.mesh.material[hits.triangle]
     line = [material == Material.WIRE, np.isin(material, _LINE), classes == 1]
     return np.select(line, [np.uint8(14), np.uint8(15), np.uint8(64)], classes)
-
-
-def _aims(
-    start_m: float, end_m: float, scanner: AirborneScanner, rng: np.random.Generator
-) -> Floats:
-    """Stations and offsets (n, 2) of a jittered grid with the wanted density."""
-    cell = 1.0 / np.sqrt(scanner.pulses_per_m2)
-    station = np.arange(start_m, end_m, cell)
-    offset = np.arange(-scanner.half_width_m, scanner.half_width_m, cell)
-    grid = np.stack(np.meshgrid(station, offset, indexing="ij"), axis=-1).reshape(-1, 2)
-    return grid + rng.uniform(0.0, cell, grid.shape)
 
 
 def _pulses(
@@ -237,13 +227,3 @@ def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[Bytes, Floats]:
     classes[ground] = CLOUD_OF_GROUND[ground_kinds(site.surface, *at, lines=False)]
     reflectance[ground] = REFLECTANCE_OF_GROUND[ground_kinds(site.surface, *at)]
     return classes, reflectance
-
-
-def _edge_errors(
-    renderer: RuralRenderer, hits: Cast, classes: Bytes, share: float, rng: np.random.Generator
-) -> Bytes:
-    """Swap road and ground for some points near the pavement's edge."""
-    edge = renderer.site.ground.section.pavement_m
-    near = np.abs(np.abs(hits.road_m[:, 1]) - edge) < _EDGE_M
-    swap = near & np.isin(classes, (2, 11)) & (rng.uniform(size=len(classes)) < share)
-    return np.where(swap, 13 - classes, classes).astype(np.uint8)

@@ -5,8 +5,8 @@ Rules read them each time that they are listed: nothing slow is imported here.
 
 from __future__ import annotations
 
+# Metres between two images of each route of a rural road: ahead and back.
 STEPS_M = {"sr1427e": 8.0, "sr1427w": 16.0}
-"""Metres between two images of each route of a rural road: ahead and back."""
 
 
 def image_names(length_m: float, every: int) -> list[str]:

@@ -12,8 +12,7 @@ from roadsight_worlds.rural.rural_ground import Branch
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import raised, turned
 
-_OVERHANG_M = 0.4
-"""Of a roof over its walls."""
+_OVERHANG_M = 0.4  # Of a roof over its walls.
 
 
 def add_house(add: Furnisher, branch: Branch) -> Floats:
@@ -36,21 +35,17 @@ def add_house(add: Furnisher, branch: Branch) -> Floats:
     eaves = half + _OVERHANG_M
     corners = np.column_stack([eaves * [[-1, -1], [1, -1], [1, 1], [-1, 1]], np.zeros(4)])
     add.buildings.append(turned(corners, heading, raised(place, wall)))
-    _roof(add, raised(place, wall), half, heading, tint)
+    # Gable roof with its overhang.
+    x, y = eaves
+    rise = 0.55 * y
+    gable = [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0], [-x, 0, rise], [x, 0, rise]]
+    outer = turned(np.array(gable) - [0.0, 0.0, 0.1], heading, raised(place, wall))
+    add.mesh.add(outer, [[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]], Material.ROOF, tint)
+    inner = np.array(gable) * [half[0] / x, 1.0, 1.0] - [0.0, 0.0, 0.12]
+    inner = turned(inner, heading, raised(place, wall))
+    add.mesh.add(inner, [[0, 4, 3], [1, 2, 5]], Material.WALL, tint)
     _windows(add, place, half, heading)
     return xy
-
-
-def _roof(add: Furnisher, eaves: Floats, half: Floats, heading: float, tint: float) -> None:
-    """Gable roof with its overhang."""
-    x, y = half + _OVERHANG_M
-    rise = 0.55 * y
-    corners = [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0], [-x, 0, rise], [x, 0, rise]]
-    place = turned(np.array(corners) - [0.0, 0.0, 0.1], heading, eaves)
-    add.mesh.add(place, [[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]], Material.ROOF, tint)
-    gable = [[0, 4, 3], [1, 2, 5]]
-    inner = turned(np.array(corners) * [half[0] / x, 1.0, 1.0] - [0.0, 0.0, 0.12], heading, eaves)
-    add.mesh.add(inner, gable, Material.WALL, tint)
 
 
 def _windows(add: Furnisher, place: Floats, half: Floats, heading: float) -> None:

@@ -13,12 +13,9 @@ from roadsight_worlds.rural.rural_ground import SIDE_ROAD, RuralGround
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import MeshBuilder, raised, turned
 
-_SPAN_M = (35.0, 50.0)
-"""Least and greatest distance between utility poles."""
-_SIDES = 12
-"""Of a post, enough to look round."""
-_WIRE_PIECES = 10
-"""Straight pieces of a sagging wire."""
+_SPAN_M = (35.0, 50.0)  # Least and greatest distance between utility poles.
+_SIDES = 12  # Of a post, enough to look round.
+_WIRE_PIECES = 10  # Straight pieces of a sagging wire.
 
 
 @dataclass(frozen=True)
@@ -173,11 +170,11 @@ def _rectangle(y0: float, z0: float, y1: float, z1: float) -> list[tuple[float, 
     return [(y0, z0), (y1, z0), (y1, z1), (y0, z1)]
 
 
+# Corners of the STOP sign, m; its sides are level and upright.
 _OCTAGON = [
     (0.41 * math.cos(math.radians(a)), 0.41 * math.sin(math.radians(a)))
     for a in np.arange(22.5, 360.0, 45.0)
 ]
-"""Corners of the STOP sign, m; its sides are level and upright."""
 _BLACK = Material.SIGN_BLACK
 _WHITE = Material.SIGN_WHITE
 _SIGNS = (

@@ -19,17 +19,12 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Ints32
 from roadsight_worlds.rural.rural_line import RuralLine
 
-_ROW_M = 1.0
-"""Spacing of the corridor's mesh along the road."""
-_FAR_CELL_M = 14.0
-"""Cells of the land beyond the corridor."""
-_FAR_REACH_M = 800.0
-"""How far that land reaches beyond the road."""
-_CORRIDOR_M = 110.0
-"""Half width of the corridor that has an exact surface; trees stand within it."""
+_ROW_M = 1.0  # Spacing of the corridor's mesh along the road.
+_FAR_CELL_M = 14.0  # Cells of the land beyond the corridor.
+_FAR_REACH_M = 800.0  # How far that land reaches beyond the road.
+_CORRIDOR_M = 110.0  # Half width of the corridor that has an exact surface; trees stand within it.
 SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE, CAR_PARK = 0, 1, 2, 3
-LANE_M = 3.2
-"""Width of a lane."""
+LANE_M = 3.2  # Width of a lane.
 
 
 class Section(NamedTuple):
@@ -133,14 +128,15 @@ class RuralGround:
         toe = section_profile(self.section)[0][-1]
         height = near + (self.hills.at(xy) - near) * _smooth((away - toe) / 26.0)
         for branch in self.branches:
-            height = _regraded(height, branch, xy, away, self.section)
-        return height - self._gully(station, away)
-
-    def _gully(self, station: Floats, away: Floats) -> Floats:
-        """Depth of the stream's bed, none under the bridge's deck."""
+            along, across = branch.along_across(xy)
+            bed = branch.rise_m + branch.grade * along
+            side = 1.0 - _smooth((np.abs(across) - branch.half_m - 1.5) / 5.0)
+            end = 1.0 - _smooth((along - branch.length_m) / 12.0)
+            begin = _smooth((away - self.section.pavement_m) / 1.2) * (along > 0.0)
+            height = height + (bed - height) * side * end * begin
         depth = 2.6 * (1.0 - _smooth((np.abs(station - self.gully_m) - 1.5) / 5.5))
         reach = 1.0 - _smooth((away - 60.0) / 40.0)
-        return np.where(away > self.section.shoulder_m + 0.15, depth * reach, 0.0)
+        return height - np.where(away > self.section.shoulder_m + 0.15, depth * reach, 0.0)
 
 
 def section_profile(section: Section) -> tuple[list[float], list[float]]:
@@ -205,16 +201,6 @@ def make_branch(
     limit = 0.06 if kind == SIDE_ROAD else 0.1
     grade = min(max(grade, -limit), limit)
     return Branch(kind, station_m, side, start, ahead, half, length, radius, rise, grade)
-
-
-def _regraded(height: Floats, branch: Branch, xy: Floats, away: Floats, section: Section) -> Floats:
-    """Heights bent to a branch, which starts at the road's shoulder."""
-    along, across = branch.along_across(xy)
-    bed = branch.rise_m + branch.grade * along
-    side = 1.0 - _smooth((np.abs(across) - branch.half_m - 1.5) / 5.0)
-    end = 1.0 - _smooth((along - branch.length_m) / 12.0)
-    begin = _smooth((away - section.pavement_m) / 1.2) * (along > 0.0)
-    return height + (bed - height) * side * end * begin
 
 
 def _smooth(share: Floats) -> Floats:

@@ -15,14 +15,11 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats
 
-_STEP_M = 0.25
-"""Spacing of the stored stations."""
-_TRANSITION_M = 45.0
-"""Length over which curvature goes from a tangent to an arc."""
-_RADII_M = (190.0, 380.0)
-"""Least and greatest radius of bends."""
+_STEP_M = 0.25  # Spacing of the stored stations.
+_TRANSITION_M = 45.0  # Length over which curvature goes from a tangent to an arc.
+_RADII_M = (190.0, 380.0)  # Least and greatest radius of bends.
+# The line turns to either side by half of this at most, so that it never doubles back.
 _MOST_TURN_RAD = 1.1
-"""The line turns to either side by half of this at most, so that it never doubles back."""
 
 
 @dataclass(frozen=True)

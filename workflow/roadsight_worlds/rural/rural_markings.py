@@ -14,30 +14,18 @@ from roadsight_worlds.casting.kernel import kernel
 from roadsight_worlds.rendering.rendering_noise import hashed
 from roadsight_worlds.rural.rural_ground import LANE_M
 
-_DASH_M = 3.0
-"""Painted part of a dashed line: about 10 ft of 40."""
-_PERIOD_M = 12.0
-"""From dash to dash."""
-_DOUBLE_OFFSET_M = 0.11
-"""Of either line of a double middle line from the middle."""
-_ARROW_EVERY_M = 40.0
-"""From arrow to arrow in a lane."""
-_SHAFT_M = 3.6
-"""Length of an arrow's shaft."""
-_SHAFT_HALF_M = 0.1
-"""Half width of an arrow's shaft."""
-_HEAD_M = 2.4
-"""Length of an arrow's head."""
-_HEAD_HALF_M = 0.6
-"""Half width of an arrow's head where it is widest."""
-HATCH_M = 0.8
-"""Width of the hatching."""
-_STRIPE_EVERY_M = 2.0
-"""From stripe to stripe of the hatching, along the road."""
-_STRIPE_HALF_M = 0.25
-"""Half width of a stripe, along the road."""
-_PIECE_M = 6.0
-"""Length of a piece of paint that is worn off whole."""
+_DASH_M = 3.0  # Painted part of a dashed line: about 10 ft of 40.
+_PERIOD_M = 12.0  # From dash to dash.
+_DOUBLE_OFFSET_M = 0.11  # Of either line of a double middle line from the middle.
+_ARROW_EVERY_M = 40.0  # From arrow to arrow in a lane.
+_SHAFT_M = 3.6  # Length of an arrow's shaft.
+_SHAFT_HALF_M = 0.1  # Half width of an arrow's shaft.
+_HEAD_M = 2.4  # Length of an arrow's head.
+_HEAD_HALF_M = 0.6  # Half width of an arrow's head where it is widest.
+HATCH_M = 0.8  # Width of the hatching.
+_STRIPE_EVERY_M = 2.0  # From stripe to stripe of the hatching, along the road.
+_STRIPE_HALF_M = 0.25  # Half width of a stripe, along the road.
+_PIECE_M = 6.0  # Length of a piece of paint that is worn off whole.
 
 
 class Markings(NamedTuple):

@@ -72,7 +72,6 @@ _PIXEL = {
     Material.TYRE: PixelClass.VEHICLE,
     Material.RAIL: PixelClass.GUARDRAIL,
 } | {m: PixelClass.SIGN for m in Material if m.name.startswith("SIGN_")}
-
 _GROUND_PIXEL = {
     Ground.GRASS: PixelClass.VEGETATION,
     Ground.SHOULDER: PixelClass.OTHER,
@@ -80,7 +79,6 @@ _GROUND_PIXEL = {
     Ground.WHITE_LINE: PixelClass.MARKING,
     Ground.YELLOW_LINE: PixelClass.MARKING,
 }
-
 _GROUND_CLOUD = {
     Ground.ROAD: 11,
     Ground.SIDE_ROAD: 11,
@@ -88,11 +86,10 @@ _GROUND_CLOUD = {
     Ground.YELLOW_LINE: 11,
     Ground.BRIDGE: 17,
 }
-
 _PLANTS = (Material.LEAVES, Material.BARK, Material.BUSH, Material.FAR_FOREST)
 _POLES = (Material.POLE_WOOD, Material.WIRE, Material.FITTING)
 _BUILDING = (Material.WALL, Material.ROOF, Material.WINDOW)
-
+# Of the scanner's light; others have 0.35.
 _REFLECTANCE = {
     Material.LEAVES: 0.42,
     Material.BUSH: 0.42,
@@ -105,7 +102,7 @@ _REFLECTANCE = {
     Material.RAIL: 0.5,
     Material.TYRE: 0.05,
 }
-"""Of the scanner's light; others have 0.35."""
+# Of the scanner's light.
 _GROUND_REFLECTANCE = {
     Ground.GRASS: 0.45,
     Ground.SHOULDER: 0.3,
@@ -117,21 +114,15 @@ _GROUND_REFLECTANCE = {
     Ground.YELLOW_LINE: 0.5,
     Ground.BRIDGE: 0.2,
 }
-"""Of the scanner's light."""
-
+# Pixel class by `Material`; GROUND's comes from `PIXEL_OF_GROUND`.
 PIXEL_OF_MATERIAL: Bytes = np.array([_PIXEL.get(m, PixelClass.OTHER) for m in Material], np.uint8)
-"""Pixel class by `Material`; GROUND's comes from `PIXEL_OF_GROUND`."""
-
+# Pixel class by `Ground`; a paved driveway looks like road and is.
 PIXEL_OF_GROUND: Bytes = np.array([_GROUND_PIXEL.get(g, PixelClass.ROAD) for g in Ground], np.uint8)
-"""Pixel class by `Ground`; a paved driveway looks like road and is."""
-
+# ASPRS class by `Ground`; driveways are ground.
 CLOUD_OF_GROUND: Bytes = np.array([_GROUND_CLOUD.get(g, 2) for g in Ground], np.uint8)
-"""ASPRS class by `Ground`; driveways are ground."""
-
+# ASPRS class by `Material`; 5 is vegetation of any height, with poles and wires in it.
 CLOUD_OF_MATERIAL: Bytes = np.array(
     [5 if m in _PLANTS or m in _POLES else 6 if m in _BUILDING else 1 for m in Material], np.uint8
 )
-"""ASPRS class by `Material`; 5 is vegetation of any height, with poles and wires in it."""
-
 REFLECTANCE_OF_MATERIAL: Floats = np.array([_REFLECTANCE.get(m, 0.35) for m in Material])
 REFLECTANCE_OF_GROUND: Floats = np.array([_GROUND_REFLECTANCE[g] for g in Ground])

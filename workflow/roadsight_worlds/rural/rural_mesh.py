@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32
 
+# Triangles of a box, by row of `_CORNERS`.
 _BOX = np.array(
     [
         [0, 2, 1],
@@ -26,9 +27,8 @@ _BOX = np.array(
         [3, 7, 5],
     ]
 )
-"""Triangles of a box, by row of `_CORNERS`."""
+# Of a box with half edges of 1.
 _CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
-"""Of a box with half edges of 1."""
 
 
 class Mesh(NamedTuple):
@@ -159,15 +159,11 @@ class MeshBuilder:
         return Mesh(*joined)
 
 
-def _turned(points_m: Floats, heading_rad: float) -> Floats:
-    """Points turned about z."""
-    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
-    return points_m @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-
 def turned(points_m: ArrayLike, heading_rad: float, place_m: ArrayLike) -> Floats:
     """Points (n, 3) of a body's frame whose x axis points along ``heading_rad``, at a place."""
-    return _turned(np.asarray(points_m, float), heading_rad) + np.asarray(place_m, float)
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    about_z = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(points_m, float) @ about_z + np.asarray(place_m, float)
 
 
 def raised(place_m: ArrayLike, by_m: float) -> Floats:

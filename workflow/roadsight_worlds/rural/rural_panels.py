@@ -11,18 +11,13 @@ from roadsight_worlds.rural.rural_furniture import Furnisher
 from roadsight_worlds.rural.rural_materials import Material
 from roadsight_worlds.rural.rural_mesh import raised, turned
 
-_OFFSET_M = (4.8, 9.5)
-"""From the centreline: from the shoulder to beyond the ditch."""
-_SIZE_M = (0.3, 1.4)
-"""Across a panel: from a marker's to a destination's."""
-_FOOT_M = (0.9, 2.4)
-"""Of a panel's lower edge over the ground."""
-_WIDE_M = 1.1
-"""Wider panels stand on two posts."""
+_OFFSET_M = (4.8, 9.5)  # From the centreline: from the shoulder to beyond the ditch.
+_SIZE_M = (0.3, 1.4)  # Across a panel: from a marker's to a destination's.
+_FOOT_M = (0.9, 2.4)  # Of a panel's lower edge over the ground.
+_WIDE_M = 1.1  # Wider panels stand on two posts.
+# Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles.
 _CORNERS = (3, 4, 6, 8, 16)
-"""Triangle, diamond, hexagon, octagon, disc; as many panels again are rectangles."""
-_SHEET_M = 0.006
-"""Between a panel's front and its back; its legend is as far before its front."""
+_SHEET_M = 0.006  # Between a panel's front and its back; its legend is as far before its front.
 
 
 def add_panels(add: Furnisher, per_km: float) -> None:
@@ -47,21 +42,18 @@ def _sign(add: Furnisher, station: float, offset: float, side: int) -> None:
     away = rng.choice([0.0, math.pi, rng.uniform(-math.pi, math.pi)], p=[0.6, 0.25, 0.15])
     heading = towards + away + rng.normal(0.0, 0.08)
     add.mesh.start("sign")
-    _posts(add, foot, height, heading, float(np.ptp(outlines[0][:, 0])))
-    for outline in outlines:
-        middle = raised(foot, bottom - float(outline[:, 1].min()))
-        _panel(add, outline, heading, middle)
-        bottom += float(np.ptp(outline[:, 1])) + 0.05
-
-
-def _posts(add: Furnisher, foot: Floats, height: float, heading: float, wide: float) -> None:
-    """One post behind the middle, or two behind a wide panel."""
+    # One post behind the middle, or two behind a wide panel.
+    wide = float(np.ptp(outlines[0][:, 0]))
     material = Material.POLE_WOOD if add.rng.random() < 0.3 else Material.STEEL_POST
     radius = add.rng.uniform(0.025, 0.06)
     across = [0.0] if wide < _WIDE_M else [-0.35 * wide, 0.35 * wide]
     for y in across:
         place = turned([[0.0, y, 0.0]], heading, foot)[0]
         add.mesh.post(place, height, (radius, radius), 6, material, add.rng.uniform())
+    for outline in outlines:
+        middle = raised(foot, bottom - float(outline[:, 1].min()))
+        _panel(add, outline, heading, middle)
+        bottom += float(np.ptp(outline[:, 1])) + 0.05
 
 
 def _outline(rng: np.random.Generator) -> Floats:

@@ -11,12 +11,11 @@ from roadsight.base.arrays import Floats
 from roadsight_worlds.rural.rural_furniture import Furnisher
 from roadsight_worlds.rural.rural_materials import Material
 
+# Tried places by length of road; those on open land or too near to something else stay empty.
 _TREES_PER_M = 1.15
-"""Tried places by length of road; those on open land or too near to something else stay empty."""
-_BUSHES_PER_M = 0.9
-"""As of trees."""
+_BUSHES_PER_M = 0.9  # As of trees.
+# Farthest offset, leaves of a tree 10 m high, their size in metres.
 _DETAIL = ((17.0, 3600, 0.26), (34.0, 1400, 0.42), (math.inf, 480, 0.8))
-"""Farthest offset, leaves of a tree 10 m high, their size in metres."""
 
 
 def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> None:

@@ -44,28 +44,20 @@ from roadsight_worlds.rural.rural_panels import add_panels
 from roadsight_worlds.rural.rural_plants import add_plants
 from roadsight_worlds.rural.rural_surface import Surface, make_surface
 
-_USUAL = RuralScene()
-"""What a rural road is, unless asked for another."""
-EPSG = 6543
-"""NAD83(2011) / North Carolina, US survey feet."""
-VERTICAL_EPSG = 6360
-"""Heights in US survey feet above NAVD88."""
-US_FOOT_M = 1200.0 / 3937.0
-"""By its definition."""
-ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)
-"""Easting, northing and height of the local origin."""
-_LEAD_M = 130.0
-"""The road goes on so far beyond both ends of the site."""
-_SHORTEST_M = 60.0
-"""Shorter roads leave no room for what stands beside them."""
+_USUAL = RuralScene()  # What a rural road is, unless asked for another.
+EPSG = 6543  # NAD83(2011) / North Carolina, US survey feet.
+VERTICAL_EPSG = 6360  # Heights in US survey feet above NAVD88.
+US_FOOT_M = 1200.0 / 3937.0  # By its definition.
+ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)  # Easting, northing and height of the local origin.
+_LEAD_M = 130.0  # The road goes on so far beyond both ends of the site.
+_SHORTEST_M = 60.0  # Shorter roads leave no room for what stands beside them.
+# Stretches of a road of several lanes that have hatching, as shares of its length.
 _HATCHED = ((0.1, 0.2), (0.5, 0.62), (0.78, 0.86))
-"""Stretches of a road of several lanes that have hatching, as shares of its length."""
+# Where car parks open onto the road: share of its length, side.
 _CAR_PARKS = ((0.46, 1), (0.92, -1))
-"""Where car parks open onto the road: share of its length, side."""
+# Depth of the ditch beside flush verges: the shelf's own fall, so that there is none.
 _FLUSH_M = 0.05
-"""Depth of the ditch beside flush verges: the shelf's own fall, so that there is none."""
-_LONGEST_M = 3000.0
-"""Longer ones are refused, because the mesh grows with the length."""
+_LONGEST_M = 3000.0  # Longer ones are refused, because the mesh grows with the length.
 
 
 @dataclass(frozen=True)
@@ -148,7 +140,11 @@ def build_rural(
     hills = replace(hills, height_m=scene.relief * hills.height_m)
     ground = _ground(line, hills, length_m, scene, thing_rng)
     builder = MeshBuilder()
-    triangles, road = _add_land(builder, ground, hills, hill_rng)
+    builder.start("ground")
+    vertices, triangles, road = corridor_mesh(ground)
+    builder.add(vertices, triangles, Material.GROUND)
+    builder.start("far land")
+    builder.add(*far_mesh(hills, hill_rng), Material.FAR_FOREST)
     add = Furnisher(ground, builder, thing_rng, [])
     houses = _furnish(add, length_m)
     add.rng = plant_rng
@@ -168,7 +164,7 @@ def build_rural(
         ground,
         surface,
         builder.build(),
-        triangles,
+        len(triangles),
         road,
         tuple(builder.kinds),
         tuple(add.poles),
@@ -209,18 +205,6 @@ def _ground(
     return RuralGround(line, section, tuple(branches), hills, gully)
 
 
-def _add_land(
-    builder: MeshBuilder, ground: RuralGround, hills: Hills, rng: np.random.Generator
-) -> tuple[int, Floats]:
-    """Add corridor and far land; number of corridor triangles, their vertices' road places."""
-    builder.start("ground")
-    vertices, triangles, road = corridor_mesh(ground)
-    builder.add(vertices, triangles, Material.GROUND)
-    builder.start("far land")
-    builder.add(*far_mesh(hills, rng), Material.FAR_FOREST)
-    return len(triangles), road
-
-
 def _furnish(add: Furnisher, length_m: float) -> list[Floats]:
     """Add everything but plants; plan places of the houses."""
     ground, rng = add.ground, add.rng
@@ -236,21 +220,18 @@ def _furnish(add: Furnisher, length_m: float) -> list[Floats]:
     add_fence(add, 0.6 * length_m, 0.6 * length_m + 64.0, beside(-side * 11.5))
     for sign in (-1.0, 1.0):
         add_guardrail(add, ground.gully_m - 20.0, ground.gully_m + 20.0, beside(sign * 4.55))
-    _park(add, drives[1], length_m)
-    return houses
-
-
-def _park(add: Furnisher, drive: Branch, length_m: float) -> None:
-    """Park one car on a driveway and two beside the road."""
+    # One car on a driveway and two beside the road.
+    drive = drives[1]
     ax, ay = drive.ahead
     station, offset = add.ground.line.road(drive.start_m + 16.0 * drive.ahead)[0]
     turn = np.arctan2(ay, ax) - add.heading(station)
     add_vehicle(add, station, offset, float(turn))
     for share in (0.2, 0.93):
-        side = float(add.rng.choice([-1.0, 1.0]))
-        place = share * length_m, add.ground.section.beside(side * 5.0)
+        aside = float(add.rng.choice([-1.0, 1.0]))
+        place = share * length_m, add.ground.section.beside(aside * 5.0)
         if add.free(*place, 2.0):
-            add_vehicle(add, *place, 0.0 if side < 0 else np.pi)
+            add_vehicle(add, *place, 0.0 if aside < 0 else np.pi)
+    return houses
 
 
 def _park_beside(add: Furnisher, per_km: float) -> None:

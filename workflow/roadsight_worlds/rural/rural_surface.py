@@ -16,17 +16,7 @@ from roadsight_worlds.rural.rural_markings import Markings, line_cover
 from roadsight_worlds.rural.rural_materials import Ground
 
 # Plain numbers, as compiled code takes them.
-_GRASS = int(Ground.GRASS)
-_SHOULDER = int(Ground.SHOULDER)
-_ROAD = int(Ground.ROAD)
-_SIDE = int(Ground.SIDE_ROAD)
-_GRAVEL = int(Ground.GRAVEL_DRIVE)
-_DRIVE = int(Ground.PAVED_DRIVE)
-_WHITE = int(Ground.WHITE_LINE)
-_YELLOW = int(Ground.YELLOW_LINE)
-_BRIDGE = int(Ground.BRIDGE)
-_SIDE_ROAD_KIND = SIDE_ROAD
-_GRAVEL_KIND = GRAVEL_DRIVE
+_GRASS, _SHOULDER, _ROAD, _SIDE, _GRAVEL, _DRIVE, _WHITE, _YELLOW, _BRIDGE = map(int, Ground)
 
 
 class Surface(NamedTuple):
@@ -116,9 +106,9 @@ def ground_kind(surface: Surface, x: float, y: float, s: float, o: float) -> int
         ends = surface.branch_length_m[k]
         if -1.5 <= along <= ends and abs(across) <= _branch_width(surface, k, along):
             kind = surface.branch[k, 0]
-            if kind == _SIDE_ROAD_KIND:
+            if kind == SIDE_ROAD:
                 return _SIDE
-            return _GRAVEL if kind == _GRAVEL_KIND else _DRIVE
+            return _GRAVEL if kind == GRAVEL_DRIVE else _DRIVE
     return _SHOULDER if away <= surface.shoulder_m else _GRASS
 
 

@@ -10,12 +10,10 @@ from roadsight_worlds.rural.rural_ground import SIDE_ROAD, Branch
 from roadsight_worlds.rural.rural_road import RuralSite
 from roadsight_worlds.rural.videolog_tables import pole_table
 
+# By kind of branch (`SIDE_ROAD` and so on).
 _KINDS = ("side road", "gravel driveway", "paved driveway", "car park")
-"""By kind of branch (`SIDE_ROAD` and so on)."""
-_MARGIN_M = 20.0
-"""Layers go on so far beyond both ends of the road."""
-_ARC_POINTS = 24
-"""Points of a rounded corner."""
+_MARGIN_M = 20.0  # Layers go on so far beyond both ends of the road.
+_ARC_POINTS = 24  # Points of a rounded corner.
 
 
 def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
@@ -34,13 +32,21 @@ def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
     drives = [(k, s) for k, s in shapes if k not in ("road", _KINDS[SIDE_ROAD])]
     lines = {"left": left, "right": right}
     middle = shapely.LineString(site.line.plan(stations, 0.0))
+    columns = {
+        "kind": [tree.kind for tree in site.trees],
+        "height_m": [tree.height_m for tree in site.trees],
+        "edge_distance_m": [abs(tree.offset_m) - half for tree in site.trees],
+    }
+    stems = [shapely.Point(tree.xyz_m) for tree in site.trees]
+    table = pole_table(site)
+    feet = [shapely.Point(pole.xyz_m) for pole in site.poles]
     return {
         "pavement": _features(roads),
         "driveways": _features(drives),
         "edges": _features([(name, shapely.LineString(line)) for name, line in lines.items()]),
         "centreline": _features([("middle", middle)]),
-        "poles": _poles(site),
-        "trees": _trees(site),
+        "poles": gpd.GeoDataFrame(table.drop(columns=["x_m", "y_m", "z_m"]), geometry=feet),
+        "trees": gpd.GeoDataFrame(columns, geometry=stems),
         "guardrails": _features([("guardrail", shapely.LineString(g)) for g in site.guardrails]),
         "buildings": _features([("building", shapely.Polygon(b)) for b in site.buildings]),
     }
@@ -63,20 +69,3 @@ def _outline(branch: Branch) -> shapely.Polygon:
         for s in (1.0, -1.0)
     ]
     return shapely.Polygon(np.concatenate([sides[0], sides[1][::-1]]))
-
-
-def _trees(site: RuralSite) -> gpd.GeoDataFrame:
-    columns = {
-        "kind": [tree.kind for tree in site.trees],
-        "height_m": [tree.height_m for tree in site.trees],
-        "edge_distance_m": [
-            abs(tree.offset_m) - site.ground.section.pavement_m for tree in site.trees
-        ],
-    }
-    return gpd.GeoDataFrame(columns, geometry=[shapely.Point(tree.xyz_m) for tree in site.trees])
-
-
-def _poles(site: RuralSite) -> gpd.GeoDataFrame:
-    table = pole_table(site)
-    feet = [shapely.Point(pole.xyz_m) for pole in site.poles]
-    return gpd.GeoDataFrame(table.drop(columns=["x_m", "y_m", "z_m"]), geometry=feet)

@@ -25,12 +25,10 @@ from roadsight_worlds.rendering.images import Camera
 from roadsight_worlds.rural.image_names import STEPS_M, place_name, places_along
 from roadsight_worlds.rural.rural_road import RuralSite
 
-_USUAL = RuralScene()
-"""What a rural road is, unless asked for another."""
-_STITCH_OVERLAP_DEG = 1.5
-"""Side views overlap the front view by so much."""
+_USUAL = RuralScene()  # What a rural road is, unless asked for another.
+_STITCH_OVERLAP_DEG = 1.5  # Side views overlap the front view by so much.
+# From a camera's axes (right, down, ahead) to right, ahead, up.
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""From a camera's axes (right, down, ahead) to right, ahead, up."""
 
 
 @dataclass(frozen=True)
@@ -194,21 +192,18 @@ def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     travelled = drive.step_m * np.arange(count, dtype=np.float64)
     station = travelled if drive.forward else site.length_m - travelled
     way_m = site.ground.section.drive_m * (-1.0 if drive.forward else 1.0)
-    offset, drift = _lane_place(station, way_m, rng)
+    # Two slow waves in the lane.
+    lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+    angle = 2.0 * np.pi * station[:, None] / lengths + phases
+    rate = 2.0 * np.pi / lengths
+    offset = way_m + 0.11 * np.sin(angle).sum(axis=1)
+    drift = 0.11 * (np.cos(angle) * rate).sum(axis=1)  # per metre of station
     noise = drive.gps.draw(travelled, rng)
     shakes = rng.normal(size=(count, 4))
     return [
         _shot(site, drive, i + 1, (station[i], offset[i], drift[i]), noise[i], shakes[i])
         for i in range(count)
     ]
-
-
-def _lane_place(station: Floats, way_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Offset of the vehicle and its change per metre of station: two slow waves in the lane."""
-    lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
-    angle = 2.0 * np.pi * station[:, None] / lengths + phases
-    rate = 2.0 * np.pi / lengths
-    return way_m + 0.11 * np.sin(angle).sum(axis=1), 0.11 * (np.cos(angle) * rate).sum(axis=1)
 
 
 def _shot(

@@ -13,6 +13,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight_worlds.rural.rural_road import RuralSite
 from roadsight_worlds.rural.videolog import Shot, attitude_of, mount_of, road_rotation
 
+# Of the true cameras, finer than anything is estimated.
 CAMERA_DECIMALS = (
     dict.fromkeys(("x_m", "y_m", "z_m", "height_above_road_m", "station_m"), 4)
     | dict.fromkeys(("easting_usft", "northing_usft", "height_usft"), 4)
@@ -21,7 +22,7 @@ CAMERA_DECIMALS = (
     | {"latitude": 9, "longitude": 9}
     | {f"cam_from_world_r{i}{j}": 9 for i in range(3) for j in range(3)}
 )
-"""Of the true cameras, finer than anything is estimated."""
+# Of the true poles.
 POLE_DECIMALS = dict.fromkeys(("x_m", "y_m", "z_m", "easting_usft", "northing_usft"), 4) | {
     "height_usft": 4,
     "latitude": 9,
@@ -32,9 +33,8 @@ POLE_DECIMALS = dict.fromkeys(("x_m", "y_m", "z_m", "easting_usft", "northing_us
     "offset_m": 3,
     "edge_distance_m": 3,
 }
-"""Of the true poles."""
+# Of what a user gets: 1e-7 degrees are a centimetre.
 VIDEOLOG_DECIMALS = {"latitude": 7, "longitude": 7}
-"""Of what a user gets: 1e-7 degrees are a centimetre."""
 
 
 def videolog_table(site: RuralSite, places: Sequence[Shot]) -> pd.DataFrame:

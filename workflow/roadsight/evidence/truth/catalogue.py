@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+# Streets of ``street_scans``: ten frames of a 64-channel scanner with labels and photographs.
 STREETS = ("02", "03", "05", "07", "08")
-"""Streets of ``street_scans``: ten frames of a 64-channel scanner with labels and photographs."""
+# Samples of the ISPRS comparison of ground filters.
 ISPRS = ("samp11", "samp21", "samp31", "samp42", "samp52", "samp53", "samp71")
-"""Samples of the ISPRS comparison of ground filters."""
+# Public covering instances.
 COVERS = (
     "camera_placement_ac01",
     "sc_157_0",
@@ -23,7 +24,6 @@ COVERS = (
     "scpnrg1",
     "scpcyc09",
 )
-"""Public covering instances."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,6 @@ _SURVEYS = {
     "amsterdam": ("clouds/amsterdam_poles/cloud.laz", "clouds/amsterdam_poles/roads.csv"),
 }
 _PHOTOGRAPHS = ("truth_cameras.csv", "images/*.jpg", "masks/*.png", "road_masks/*.png")
-
 AREAS: dict[str, Area] = {
     "ground": Area(
         title="Ground points of a cloud",

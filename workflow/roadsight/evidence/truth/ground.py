@@ -31,33 +31,24 @@ def measure_ground(dataset: str, files: Sequence[Path]) -> list[Figure]:
         cloud, labels = sorted(files, key=lambda path: path.suffix)
         xyz_m = read_laz(cloud).xyz
         xyz_m = xyz_m - xyz_m.min(axis=0)
-        return _isprs(xyz_m, np.load(labels)["ground"].astype(bool))
-    street = ground_points(read_street(files[0].parent))
-    judged = ~np.isin(street.label, UNLABELLED)
-    truth = np.isin(street.label, GROUND)
-    started = time.process_time()
-    found = ground_of(street.xyz_m)
-    used_s = time.process_time() - started
-    peer = smrf(street.xyz_m)
-    return [
-        Figure(
-            "f1",
-            100 * f1(found[judged], truth[judged]),
-            100 * f1(peer[judged], truth[judged]),
-            used_s,
-        )
-    ]
-
-
-def _isprs(xyz_m: Floats, truth: Bools) -> list[Figure]:
+        truth = np.load(labels)["ground"].astype(bool)
+    else:
+        street = ground_points(read_street(files[0].parent))
+        xyz_m, truth = street.xyz_m, np.isin(street.label, GROUND)
     started = time.process_time()
     found = ground_of(xyz_m)
     used_s = time.process_time() - started
     peer = smrf(xyz_m)
-    return [
-        Figure("total_error", 100 * (found != truth).mean(), 100 * (peer != truth).mean(), used_s),
-        Figure("kappa", 100 * kappa(found, truth), 100 * kappa(peer, truth), used_s),
-    ]
+    if dataset in ISPRS:
+        wrong, peer_wrong = 100 * (found != truth).mean(), 100 * (peer != truth).mean()
+        agreed, peer_agreed = 100 * kappa(found, truth), 100 * kappa(peer, truth)
+        return [
+            Figure("total_error", wrong, peer_wrong, used_s),
+            Figure("kappa", agreed, peer_agreed, used_s),
+        ]
+    judged = ~np.isin(street.label, UNLABELLED)
+    ours, theirs = (f1(mask[judged], truth[judged]) for mask in (found, peer))
+    return [Figure("f1", 100 * ours, 100 * theirs, used_s)]
 
 
 def f1(found: Bools, truth: Bools) -> float:

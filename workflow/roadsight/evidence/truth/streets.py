@@ -11,17 +11,12 @@ import pandas as pd
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.io.cloud.clouds import read_laz
 
-ROAD = (40, 60)
-"""SemanticKITTI labels of the carriageway: road, lane marking."""
-GROUND = (40, 44, 48, 49, 60, 72)
-"""Road, parking, sidewalk, other ground, lane marking, terrain."""
+ROAD = (40, 60)  # SemanticKITTI labels of the carriageway: road, lane marking.
+GROUND = (40, 44, 48, 49, 60, 72)  # Road, parking, sidewalk, other ground, lane marking, terrain.
 UNLABELLED = (0, 1)
 OUTLIER = 1
-FIRST_MOVING = 250
-"""Labels above this are of moving things."""
-
-NEAREST_M = 2.5
-"""Nearer points are of the vehicle itself."""
+FIRST_MOVING = 250  # Labels above this are of moving things.
+NEAREST_M = 2.5  # Nearer points are of the vehicle itself.
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pyogrio
 import shapely
-from numpy.typing import NDArray
 from rasterio import features
 from rasterio.transform import Affine
 from scipy import ndimage
@@ -24,16 +23,13 @@ from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.scene.grids import Grid
 
-REACH_M = 5.0
-"""What lies farther from surveyed area is unknown."""
+REACH_M = 5.0  # What lies farther from surveyed area is unknown.
 _CELL_M = 0.25
 _BUILDING = 6
 _WATER = 9
 _GROUND = 2
-_CLOSING_CELLS = 3
-"""Gaps between the points of an airborne cloud of 15 points a square metre."""
-_BORDER_M = 2.0
-"""Edges this near to the cloud's border are those of the cloud."""
+_CLOSING_CELLS = 3  # Gaps between the points of an airborne cloud of 15 points a square metre.
+_BORDER_M = 2.0  # Edges this near to the cloud's border are those of the cloud.
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,9 @@ class Survey:
         """Cells (rows, columns) that points (n, 3) cover, gaps between them closed."""
         count = np.zeros(self.grid.rows * self.grid.columns, np.int64)
         np.add.at(count, self.grid.flat(points_m[:, 0], points_m[:, 1]), 1)
-        return _closed(count.reshape(self.grid.shape) > 0)
+        padded = np.pad(count.reshape(self.grid.shape) > 0, _CLOSING_CELLS)
+        closed = ndimage.binary_closing(padded, iterations=_CLOSING_CELLS)
+        return closed[_CLOSING_CELLS:-_CLOSING_CELLS, _CLOSING_CELLS:-_CLOSING_CELLS]
 
     def outline_of(self, points_m: Floats) -> shapely.Geometry:
         """The same as an area."""
@@ -91,9 +89,15 @@ def read_survey(files: Sequence[Path]) -> Survey:
     cloud = read_laz(next(path for path in files if path.suffix == ".laz"))
     origin = np.append(np.floor(cloud.xyz[:, :2].min(axis=0)), 0.0)
     xyz_m = cloud.xyz - origin
-    paved = shapely.union_all(
-        np.concatenate([_polygons(path) for path in files if path.suffix != ".laz"])
-    )
+    layers = []
+    for path in files:
+        if path.suffix == ".csv":
+            rings = pd.read_csv(path)["polygon"].map(json.loads)
+            drawn = np.array([shapely.Polygon(ring) for ring in rings], object)
+            layers.append(shapely.make_valid(drawn))
+        elif path.suffix != ".laz":
+            layers.append(pyogrio.read_dataframe(path).geometry.to_numpy())
+    paved = shapely.union_all(np.concatenate(layers))
     paved = shapely.transform(shapely.force_2d(paved), lambda xy: xy - origin[:2])
     grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _CELL_M)
     classes = np.asarray(cloud.dims["classification"], np.uint8)
@@ -112,17 +116,3 @@ def read_survey(files: Sequence[Path]) -> Survey:
     water = survey.area_of(xyz_m[classes == _WATER])
     known = near & covered & ~(building & ~open_ground) & ~water
     return Survey(xyz_m, survey.intensity, classes, paved, grid, known)
-
-
-def _polygons(path: Path) -> NDArray[np.object_]:
-    """Surveyed polygons of one file, invalid ones repaired."""
-    if path.suffix == ".csv":
-        vertices = pd.read_csv(path)["polygon"].map(json.loads)
-        return shapely.make_valid(np.array([shapely.Polygon(ring) for ring in vertices], object))
-    return pyogrio.read_dataframe(path).geometry.to_numpy()
-
-
-def _closed(cells: Bools) -> Bools:
-    padded = np.pad(cells, _CLOSING_CELLS)
-    closed = ndimage.binary_closing(padded, iterations=_CLOSING_CELLS)
-    return closed[_CLOSING_CELLS:-_CLOSING_CELLS, _CLOSING_CELLS:-_CLOSING_CELLS]

@@ -59,7 +59,13 @@ def truth_rows(name: str, area: Area, measured: Mapping[str, Sequence[Figure]]) 
         ]
         rows += [_row(name, area, dataset, figure, about, about.each) for dataset, figure in own]
         if about.mean and own:
-            rows.append(_row(name, area, MEAN, _mean([f for _, f in own]), about, about.goal))
+            # The peer has a mean where it measured every data set.
+            ours = [figure.ours for _, figure in own]
+            peers = [figure.peer for _, figure in own if figure.peer is not None]
+            times = [figure.cpu_s for _, figure in own if figure.cpu_s is not None]
+            peer = sum(peers) / len(own) if len(peers) == len(own) else None
+            mean = Figure(metric, sum(ours) / len(own), peer, sum(times) if times else None)
+            rows.append(_row(name, area, MEAN, mean, about, about.goal))
     rows += [
         {"area": name, "dataset": dataset, "metric": "missing", "peer_name": area.peer}
         for dataset in area.datasets
@@ -74,19 +80,6 @@ def holds(value: float, goal: str) -> bool | None:
         return None
     limit = float(goal[1:])
     return value < limit if goal[0] == "<" else value > limit
-
-
-def _mean(figures: Sequence[Figure]) -> Figure:
-    """Mean of ours and of the peer; the peer has one where it measured every data set."""
-    peers = [figure.peer for figure in figures if figure.peer is not None]
-    times = [figure.cpu_s for figure in figures if figure.cpu_s is not None]
-    count = len(figures)
-    return Figure(
-        figures[0].metric,
-        sum(figure.ours for figure in figures) / count,
-        sum(peers) / count if len(peers) == count else None,
-        sum(times) if times else None,
-    )
 
 
 def _row(

@@ -9,18 +9,15 @@ from typing import Any, Literal
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
 
-METHODS = ("auto", "surface", "published")
-"""Ways to the pavement, as the setting names them."""
+METHODS = ("auto", "surface", "published")  # Ways to the pavement, as the setting names them.
+# Share of scans with a blind disc from which the cloud was scanned from a vehicle in it.
 SURE_SCANS = 0.5
-"""Share of scans with a blind disc from which the cloud was scanned from a vehicle in it."""
+# One scan has no registration to level, but its blind disc alone is a weak sign of a road.
 _FEWEST_SCANS = 2
-"""One scan has no registration to level, but its blind disc alone is a weak sign of a road."""
-FINEST_M = 0.2
-"""Smallest cell of the surface; where points are sparser its cells are wider."""
+FINEST_M = 0.2  # Smallest cell of the surface; where points are sparser its cells are wider.
+# Cells of the surface that are held at once: 0.6 km2 at the finest. Each takes 300 bytes.
 MOST_CELLS = 15_000_000
-"""Cells of the surface that are held at once: 0.6 km2 at the finest. Each takes 300 bytes."""
-MOST_SHARPENED = 5_000_000
-"""The same where the surface only sharpens edges: 0.2 km2, 1.5 GB."""
+MOST_SHARPENED = 5_000_000  # The same where the surface only sharpens edges: 0.2 km2, 1.5 GB.
 
 
 @dataclass(frozen=True)

@@ -22,116 +22,6 @@ from roadsight.base.sections.scene import GroundClasses, Thinning
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
 
-BINS = 11
-"""Bins of each of the three angles."""
-
-FEATURES = 3 * BINS
-"""Numbers of a histogram."""
-
-_SAME_ANGLE = 1e-9
-"""Cosines that differ by less differ by rounding."""
-
-
-@compiled_part()
-def _pair_bins(xyz: Floats, normals: Floats, i: int, j: int) -> tuple[int, int, int]:
-    """Bins of the three pair angles; -1 where the pair has none (coincident or collinear)."""
-    dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
-    length = math.sqrt(dx**2 + dy**2 + dz**2)
-    if length == 0.0:
-        return -1, -1, -1
-    dx, dy, dz = dx / length, dy / length, dz / length
-    along_i = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
-    along_j = normals[j, 0] * dx + normals[j, 1] * dy + normals[j, 2] * dz
-    first, second, phi = i, j, along_i
-    # The normal closer to the line between the points is the frame's first axis. Points with the
-    # same neighbours have the same normal: rounding must not choose the sign of their third angle.
-    if abs(along_j) > abs(along_i) + _SAME_ANGLE:
-        first, second, phi = j, i, -along_j
-        dx, dy, dz = -dx, -dy, -dz
-    ux, uy, uz = normals[first, 0], normals[first, 1], normals[first, 2]
-    ox, oy, oz = normals[second, 0], normals[second, 1], normals[second, 2]
-    vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
-    size = math.sqrt(vx**2 + vy**2 + vz**2)
-    if size == 0.0:
-        return -1, -1, -1
-    vx, vy, vz = vx / size, vy / size, vz / size
-    wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    theta = math.atan2(wx * ox + wy * oy + wz * oz, ux * ox + uy * oy + uz * oz)
-    alpha = vx * ox + vy * oy + vz * oz
-    return _bin((theta + math.pi) / math.pi), _bin(alpha + 1), _bin(phi + 1)
-
-
-@compiled_part()
-def _bin(value: float) -> int:
-    """Bin of a value from 0 to 2."""
-    return min(BINS - 1, max(0, int(math.floor(BINS * value * 0.5))))
-
-
-@compiled()
-def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
-    """Simplified histograms (n, 33): each third sums to 100 where every pair is usable."""
-    histograms = np.zeros((len(xyz), FEATURES))
-    for i in range(len(xyz)):
-        present = 0
-        for j in neighbours[i]:
-            present += j >= 0
-        if present == 0 or math.isnan(normals[i, 0]):
-            continue
-        share = 100.0 / present
-        for j in neighbours[i]:
-            if j < 0 or math.isnan(normals[j, 0]):
-                continue
-            a, b, c = _pair_bins(xyz, normals, i, j)
-            if a >= 0:
-                histograms[i, a] += share
-                histograms[i, BINS + b] += share
-                histograms[i, 2 * BINS + c] += share
-    return histograms
-
-
-@compiled()
-def _weighted(simplified: Floats, neighbours: Ints, distance: Floats) -> Floats32:
-    """Own histogram plus the neighbours' weighted mean, each third of which sums to 100."""
-    out = np.zeros(simplified.shape, dtype=np.float32)
-    mixed = np.zeros(FEATURES)
-    for i in range(len(simplified)):
-        mixed[:] = 0.0
-        for k in range(neighbours.shape[1]):
-            j, apart = neighbours[i, k], distance[i, k]
-            if j >= 0 and apart > 0.0:
-                weight = 1.0 / apart**2
-                for f in range(FEATURES):
-                    mixed[f] += simplified[j, f] * weight
-        for start in range(0, FEATURES, BINS):
-            total = 0.0
-            for f in range(start, start + BINS):
-                total += mixed[f]
-            scale = 100.0 / total if total > 0.0 else 0.0
-            for f in range(start, start + BINS):
-                out[i, f] = simplified[i, f] + scale * mixed[f]
-    return out
-
-
-def fpfh(xyz_m: Floats, normals: Floats, distance_m: Floats, neighbours: Ints) -> Floats32:
-    """FPFH of each point.
-
-    Parameters
-    ----------
-    xyz_m : (n, 3) local metres.
-    normals : (n, 3) unit normals, oriented alike; NaN where unknown.
-    distance_m, neighbours : (n, k) from `normals.nearest_neighbours`.
-
-    Returns
-    -------
-    (n, 33) float32; all zero for a point without a usable pair, which callers must not take for
-    flat road.
-    """
-    simplified = _simplified(xyz_m, normals, neighbours)
-    return _weighted(simplified, neighbours, distance_m)
-
-
-# Thinned ground points with everything that tells pavement from rough ground.
-
 _USUAL = GroundClasses().thinning
 
 
@@ -180,6 +70,109 @@ def describe_ground(
         normals, variation = open3d_normals(centroid, neighbours)
         histograms = open3d_fpfh(centroid, normals, neighbours)
     return GroundDescription(centroid, local_intensity(mean[:, 0], near), variation, histograms)
+
+
+def fpfh(xyz_m: Floats, normals: Floats, distance_m: Floats, neighbours: Ints) -> Floats32:
+    """FPFH of each point.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres.
+    normals : (n, 3) unit normals, oriented alike; NaN where unknown.
+    distance_m, neighbours : (n, k) from `nearest_neighbours`.
+
+    Returns
+    -------
+    (n, 33) float32; all zero for a point without a usable pair, which callers must not take for
+    flat road.
+    """
+    simplified = _simplified(xyz_m, normals, neighbours)
+    return _weighted(simplified, neighbours, distance_m)
+
+
+BINS = 11  # Bins of each of the three angles.
+FEATURES = 3 * BINS  # Numbers of a histogram.
+_SAME_ANGLE = 1e-9  # Cosines that differ by less differ by rounding.
+
+
+@compiled()
+def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
+    """Simplified histograms (n, 33): each third sums to 100 where every pair is usable."""
+    histograms = np.zeros((len(xyz), FEATURES))
+    for i in range(len(xyz)):
+        present = 0
+        for j in neighbours[i]:
+            present += j >= 0
+        if present == 0 or math.isnan(normals[i, 0]):
+            continue
+        share = 100.0 / present
+        for j in neighbours[i]:
+            if j < 0 or math.isnan(normals[j, 0]):
+                continue
+            a, b, c = _pair_bins(xyz, normals, i, j)
+            if a >= 0:
+                histograms[i, a] += share
+                histograms[i, BINS + b] += share
+                histograms[i, 2 * BINS + c] += share
+    return histograms
+
+
+@compiled_part()
+def _pair_bins(xyz: Floats, normals: Floats, i: int, j: int) -> tuple[int, int, int]:
+    """Bins of the three pair angles; -1 where the pair has none (coincident or collinear)."""
+    dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+    length = math.sqrt(dx**2 + dy**2 + dz**2)
+    if length == 0.0:
+        return -1, -1, -1
+    dx, dy, dz = dx / length, dy / length, dz / length
+    along_i = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
+    along_j = normals[j, 0] * dx + normals[j, 1] * dy + normals[j, 2] * dz
+    first, second, phi = i, j, along_i
+    # The normal closer to the line between the points is the frame's first axis. Points with the
+    # same neighbours have the same normal: rounding must not choose the sign of their third angle.
+    if abs(along_j) > abs(along_i) + _SAME_ANGLE:
+        first, second, phi = j, i, -along_j
+        dx, dy, dz = -dx, -dy, -dz
+    ux, uy, uz = normals[first, 0], normals[first, 1], normals[first, 2]
+    ox, oy, oz = normals[second, 0], normals[second, 1], normals[second, 2]
+    vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
+    size = math.sqrt(vx**2 + vy**2 + vz**2)
+    if size == 0.0:
+        return -1, -1, -1
+    vx, vy, vz = vx / size, vy / size, vz / size
+    wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    theta = math.atan2(wx * ox + wy * oy + wz * oz, ux * ox + uy * oy + uz * oz)
+    alpha = vx * ox + vy * oy + vz * oz
+    return _bin((theta + math.pi) / math.pi), _bin(alpha + 1), _bin(phi + 1)
+
+
+@compiled_part()
+def _bin(value: float) -> int:
+    """Bin of a value from 0 to 2."""
+    return min(BINS - 1, max(0, int(math.floor(BINS * value * 0.5))))
+
+
+@compiled()
+def _weighted(simplified: Floats, neighbours: Ints, distance: Floats) -> Floats32:
+    """Own histogram plus the neighbours' weighted mean, each third of which sums to 100."""
+    out = np.zeros(simplified.shape, dtype=np.float32)
+    mixed = np.zeros(FEATURES)
+    for i in range(len(simplified)):
+        mixed[:] = 0.0
+        for k in range(neighbours.shape[1]):
+            j, apart = neighbours[i, k], distance[i, k]
+            if j >= 0 and apart > 0.0:
+                weight = 1.0 / apart**2
+                for f in range(FEATURES):
+                    mixed[f] += simplified[j, f] * weight
+        for start in range(0, FEATURES, BINS):
+            total = 0.0
+            for f in range(start, start + BINS):
+                total += mixed[f]
+            scale = 100.0 / total if total > 0.0 else 0.0
+            for f in range(start, start + BINS):
+                out[i, f] = simplified[i, f] + scale * mixed[f]
+    return out
 
 
 # Neighbourhoods and oriented normals of ground points.
@@ -279,13 +272,8 @@ def _covariances(xyz_m: Floats, neighbours: Ints) -> Floats:
     return out
 
 
-# Down-sampling on a grid anchored at the local origin.
-
-_USUAL_THINNING = GroundClasses().thinning
-
-
 def column_means(
-    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = _USUAL_THINNING
+    xyz_m: Floats, values: Floats, size_m: float, thinning: Thinning = _USUAL
 ) -> tuple[Floats, Floats, Ints]:
     """Centroid and mean values of each occupied grid column, row by row from the south-west.
 
@@ -319,18 +307,15 @@ def column_means(
 
 # Two classes of ground, smooth and rough, by k-means on FPFH (paper 1, section 2.2).
 
-_ALIKE = 1e-3
-"""Per cent; histograms that differ by less differ by rounding."""
-
+_ALIKE = 1e-3  # Per cent; histograms that differ by less differ by rounding.
+# Distance of the means of two groups, in spreads of a group. The halves of one Gaussian, clipped as
+# tones are, lie 2.72 apart, up to 2.80 in samples of 4,000. Tones of the ground of Delft are 2.5
+# apart (brick streets as bright as gardens), of other towns and a suburb from the air 3.0 to 4.4.
 _TWO_TONES_APART = 2.85
-"""Distance of the means of two groups, in spreads of a group. The halves of one Gaussian, clipped
-as tones are, lie 2.72 apart, up to 2.80 in samples of 4,000. Tones of the ground of Delft are 2.5
-apart (brick streets as bright as gardens), of other towns and a suburb from the air 3.0 to 4.4."""
-
+# Robust spreads from the class's median. Delft, where tone forms no groups: recall 79 % at a
+# precision of 73 without, 76 at 81 with it, 72 at 82 with 1.25. Roughness, where tone does: woods
+# beside an arterial, as dark as asphalt, are left out; a street of Amsterdam keeps its F1 (80 %).
 _OUTLIER_SPREADS = 2.0
-"""Robust spreads from the class's median. Delft, where tone forms no groups: recall 79 % at a
-precision of 73 without, 76 at 81 with it, 72 at 82 with 1.25. Roughness, where tone does: woods
-beside an arterial, as dark as asphalt, are left out; a street of Amsterdam keeps its F1 (80 %)."""
 
 
 @dataclass(frozen=True)
@@ -354,11 +339,6 @@ class SmoothnessModel:
     smooth: int
     tone_range: tuple[float, float] = (-np.inf, np.inf)
     roughest: float = np.inf
-
-    @property
-    def by_tone(self) -> bool:
-        """Whether intensity took part in forming the classes."""
-        return bool(np.isfinite(self.intensity_scale))
 
 
 def local_intensity(intensity: Floats, neighbours: Ints) -> Floats:
@@ -405,7 +385,10 @@ def fit_smoothness(
         smooth = is_smooth(plain, histograms[known], roughness, tones)
         return replace(plain, tone_range=_usual_range(tones[smooth]))
     scale = max(float(np.sqrt(shapes.var(axis=0).sum())), _ALIKE)
-    tone_mean, tone_scale = _tone_range(tones, intensity_weight)
+    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
+    varies = np.ptp(clipped) > 0
+    tone_mean = float(clipped.mean())
+    tone_scale = float(clipped.std()) / intensity_weight if varies else np.inf
     model = SmoothnessModel(
         shapes.mean(axis=0), scale, tone_mean, tone_scale, np.zeros((2, 34)), smooth=0
     )
@@ -448,13 +431,6 @@ def _usual_range(values: Floats) -> tuple[float, float]:
     spread = 1.4826 * float(np.median(np.abs(values - middle)))
     reach = _OUTLIER_SPREADS * spread if spread > 0 else np.inf
     return middle - reach, middle + reach
-
-
-def _tone_range(tones: Floats, weight: float) -> tuple[float, float]:
-    """Mean and scale of intensity between its 1st and 99th percentile; infinite if constant."""
-    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
-    scale = float(clipped.std()) / weight if np.ptp(clipped) > 0 else np.inf
-    return float(clipped.mean()), scale
 
 
 def is_smooth(

@@ -17,11 +17,8 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.grids import Grid
 
-_MOST = 8.0
-"""Points of one cell that count: more share the same scan's error."""
-
-_RIDGE = 0.02
-"""Of the window's variance: keeps a plane along a single scan line finite."""
+_MOST = 8.0  # Points of one cell that count: more share the same scan's error.
+_RIDGE = 0.02  # Of the window's variance: keeps a plane along a single scan line finite.
 
 
 @dataclass(frozen=True)
@@ -185,14 +182,9 @@ def local_planes(
 
 # A surface grown from seeds as long as its cells continue the plane of what was grown before.
 
-_BLANK_WEIGHT = 0.25
-"""Of a bridged cell, whose height is itself an extrapolation."""
-
-_STRIDE = 2
-"""Every second cell of the window: a quarter of the time, the same plane to 1 mm."""
-
-_NEAR_CELLS_2 = 25
-"""Squared: measured surface within five cells needs no bridge's allowance."""
+_BLANK_WEIGHT = 0.25  # Of a bridged cell, whose height is itself an extrapolation.
+_STRIDE = 2  # Every second cell of the window: a quarter of the time, the same plane to 1 mm.
+_NEAR_CELLS_2 = 25  # Squared: measured surface within five cells needs no bridge's allowance.
 
 
 @compiled_part()

@@ -14,12 +14,12 @@ import numpy as np
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.base.engines import open3d
 
+# As in `fpfh.upward_normals`: a middle eigenvalue below this share of the sum is a line.
 _NO_PLANE = 1e-6
-"""As in `normals.upward_normals`: a middle eigenvalue below this share of the sum is a line."""
 
 
 def open3d_normals(xyz_m: Floats, neighbours: int) -> tuple[Floats, Floats]:
-    """Upward unit normals (n, 3) and surface variation (n,), as `normals.upward_normals` has them.
+    """Upward unit normals (n, 3) and surface variation (n,), as `fpfh.upward_normals` has them.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def open3d_clusters(xyz_m: Floats, distance_m: float) -> Ints:
     """Cluster (n,) of each point by DBSCAN in which every point is a core point.
 
     With one point enough for a core, DBSCAN's clusters are chains of points closer than
-    ``distance_m``, which is what `clusters.euclidean_clusters` finds.
+    ``distance_m``, which is what `outline.euclidean_clusters` finds.
 
     Parameters
     ----------

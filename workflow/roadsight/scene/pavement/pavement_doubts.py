@@ -12,6 +12,7 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.doubts import Doubt
+from roadsight.scene.classes import ROADS, WATER
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes
 from roadsight.scene.pavement.road_surface import (
@@ -21,67 +22,23 @@ from roadsight.scene.pavement.road_surface import (
     step_heights_m,
 )
 
-_WATER = 9
-
-_ROAD_CLASSES = (11, 17)
-
+# Ground, model key points, rails, road, bridge deck: what a pavement's points may be called.
 _GROUND_CLASSES = (2, 8, 10, 11, 17)
-"""Ground, model key points, rails, road, bridge deck: what a pavement's points may be called."""
-
-_UNTOLD = (0, 1, 12)
-"""Never classified, unclassified, overlap: classes that say nothing."""
-
-_MOST_WATER = 0.05
-"""Share of water among a pavement's points: a shore in the outline, not a sea."""
-
-_SEA = 0.5
-"""Mostly water is no pavement at all."""
-
+_UNTOLD = (0, 1, 12)  # Never classified, unclassified, overlap: classes that say nothing.
+_MOST_WATER = 0.05  # Share of water among a pavement's points: a shore in the outline, not a sea.
+_SEA = 0.5  # Mostly water is no pavement at all.
+# Share of points that the file calls neither ground nor road: parked cars and low plants stay under
+# a fifth of real streets.
 _MOST_OTHER = 0.3
-"""Share of points that the file calls neither ground nor road: parked cars and low plants stay
-under a fifth of real streets."""
-
-_LEAST_OWN = 0.7
-"""Share of the file's own road points on the pavement."""
-
-_MAIN_PART = 0.5
-"""Share of the area in the largest of several surfaces."""
-
-_REACH_BLOCK_M = 20.0
-"""Blocks in which the dense corridor is looked at: wider than its road."""
-
-_DENSE = 0.25
-"""A block is dense from this share of the density that a quarter of the points have or beat."""
-
-_LEAST_REACHED = 0.5
-"""Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all."""
-
-_LEAST_TRACK = 0.8
-"""Share of the track on the pavement: positions are a metre off, junctions are closed late."""
-
-MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
-"""Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
-streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
-from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests."""
-
-_MOST_OPEN = 0.5
-"""Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs."""
-
-_MOST_UNSURE = 1.0
-"""Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
-and more, 1.4 on one with 80."""
-
-LEAST_PER_M2 = 9.0
-"""Points that a target half a metre wide needs: 1.5 spacings across it."""
-
-_STRIP_M = 0.5
-"""An edge is confirmed by a step within this distance."""
-
-_STEP_M = 0.03
-"""Lowest kerb."""
+_LEAST_OWN = 0.7  # Share of the file's own road points on the pavement.
 
 
 # Scans that say different things of one surface: other epochs, or registration that failed.
+
+
+# Cells in which scans are compared: several points of each, and little rise of the road within.
+_CELL_M = 0.5
+_FEWEST_POINTS = 3  # Points of a scan in a cell whose mean height counts.
 
 
 @dataclass
@@ -122,11 +79,24 @@ class ScanHeights:
         cell, mean = cell.ravel(), mean[enough]
         shared = np.bincount(cell)[cell] > 1
         cell, mean, owner = cell[shared], mean[shared], keys[first][enough][shared, 2]
-        self.off_m.append(mean - _middles(cell, mean))
+        if len(cell):  # heights above the median of their cell
+            order = np.lexsort((mean, cell))
+            _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
+            ranked = mean[order]
+            middle = (ranked[first + (count - 1) // 2] + ranked[first + count // 2]) / 2
+            mean = mean - middle[np.unique(cell, return_inverse=True)[1]]
+        self.off_m.append(mean)
         self.scan.append(owner)
         self.cell.append(cell + self.cells)
         self.spread_m.append(np.sqrt(square[enough][shared]))
         self.cells += int(cell.max()) + 1 if len(cell) else 0
+
+
+_REACH_BLOCK_M = 20.0  # Blocks in which the dense corridor is looked at: wider than its road.
+# A block is dense from this share of the density that a quarter of the points have or beat.
+_DENSE = 0.25
+_STRIP_M = 0.5  # An edge is confirmed by a step within this distance.
+_STEP_M = 0.03  # Lowest kerb.
 
 
 @dataclass
@@ -181,11 +151,11 @@ class PavementFacts:
         self.on += int((on & ground).sum())
         if classes is None:
             return
-        said = classes[on & (ground | (classes == _WATER))]
+        said = classes[on & (ground | (classes == WATER))]
         self.told += int((~np.isin(said, _UNTOLD)).sum())
-        self.water += int((said == _WATER).sum())
-        self.other += int((~np.isin(said, (*_UNTOLD, *_GROUND_CLASSES, _WATER))).sum())
-        own = np.isin(classes, _ROAD_CLASSES)
+        self.water += int((said == WATER).sum())
+        self.other += int((~np.isin(said, (*_UNTOLD, *_GROUND_CLASSES, WATER))).sum())
+        own = np.isin(classes, ROADS)
         self.own += int(own.sum())
         self.own_on += int((own & on).sum())
 
@@ -240,6 +210,23 @@ class PavementFacts:
         return float(shapely.dwithin(boxes, outline, _REACH_BLOCK_M / 2).mean())
 
 
+# Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs.
+_MOST_OPEN = 0.5
+# Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
+# and more, 1.4 on one with 80.
+_MOST_UNSURE = 1.0
+LEAST_PER_M2 = 9.0  # Points that a target half a metre wide needs: 1.5 spacings across it.
+# Share of the dense blocks that the pavement comes to; a drive's own road comes to nearly all.
+_LEAST_REACHED = 0.5
+# Share of the track on the pavement: positions are a metre off, junctions are closed late.
+_LEAST_TRACK = 0.8
+_MAIN_PART = 0.5  # Share of the area in the largest of several surfaces.
+# Thickness of the layer (one sigma) up to which a method was held to a small loss: five labelled
+# streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one surface, and 3.5
+# from 0 to 1 cm by FPFH on ten neighbours, on which a sharpened one rests.
+MOST_LAYER_M = {"surface": 0.03, "published": 0.01, "sharpened": 0.01}
+
+
 def pavement_doubts(
     outline: MultiPolygon,
     method: str,
@@ -258,7 +245,15 @@ def pavement_doubts(
     track_xy : (k, 2). unsure_share : of the area, that hangs on the tolerance, NaN where unknown.
     """
     parts = [part.area for part in outline.geoms]
-    found = [*_of_classes(facts, method), _of_parts(parts), *epoch_doubts(facts.scans)]
+    main = max(parts) / sum(parts)
+    text = f"the pavement is in {len(parts)} surfaces; share of the largest"
+    if main < _MAIN_PART:
+        text = f"the pavement is in {len(parts)} fragments, none of which is most of it; largest"
+    held = _held("pavement_parts", text, main, _MAIN_PART, least=True)
+    if len(parts) == 1:
+        text = "the pavement is one surface, m2"
+        held = Doubt("pavement_parts", "note", text, round(parts[0]))
+    found = [*_of_classes(facts, method), held, *epoch_doubts(facts.scans)]
     reached = facts.reached(outline) if facts.blocks else 1.0
     text = "share of the densely scanned area that the pavement comes to"
     if reached < _LEAST_REACHED:
@@ -304,18 +299,6 @@ def _held(
     return Doubt(code, "doubt" if beyond else "note", text, round(value, digits), limit)
 
 
-def _of_parts(areas_m2: Sequence[float]) -> Doubt:
-    main = max(areas_m2) / sum(areas_m2)
-    if len(areas_m2) == 1:
-        return Doubt(
-            "pavement_parts", "note", "the pavement is one surface, m2", round(areas_m2[0])
-        )
-    text = f"the pavement is in {len(areas_m2)} surfaces; share of the largest"
-    if main < _MAIN_PART:
-        text = f"the pavement is in {len(areas_m2)} fragments, none of which is most of it; largest"
-    return _held("pavement_parts", text, main, _MAIN_PART, least=True)
-
-
 def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     """What the file's classes say of the pavement; nothing where it has none."""
     found = []
@@ -342,35 +325,14 @@ def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     return found
 
 
-_CELL_M = 0.5
-"""Cells in which scans are compared: several points of each, and little rise of the road within."""
-
-_FEWEST_POINTS = 3
-"""Points of a scan in a cell whose mean height counts."""
-
-_FEWEST_CELLS = 100
-"""Cells, 25 m2, that a scan must share with others before it is compared."""
-
+_FEWEST_CELLS = 100  # Cells, 25 m2, that a scan must share with others before it is compared.
+# Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
+# and by over this on up to 2 %. Thinner layers of asphalt are not told from registration.
 _LEAST_APART_M = 0.1
-"""Scans differ by over 5 cm on 2 to 16 % of the pavement of five streets, where a turn tilted them,
-and by over this on up to 2 %. Thinner layers of asphalt are not told from registration."""
-
+# Means of three points differ by so many spreads of one point by chance once in 10^6 cells.
 _SPREADS = 4.0
-"""Means of three points differ by so many spreads of one point by chance once in 10^6 cells."""
-
+# Share of cells on which scans differ: parked cars that left, and edges of kerbs.
 _MOST_CHANGED = 0.05
-"""Share of cells on which scans differ: parked cars that left, and edges of kerbs."""
-
-
-def _middles(cell: Ints, height_m: Floats) -> Floats:
-    """Median height of each one's cell (n,)."""
-    if len(cell) == 0:
-        return height_m
-    order = np.lexsort((height_m, cell))
-    _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-    ranked = height_m[order]
-    middle = (ranked[first + (count - 1) // 2] + ranked[first + count // 2]) / 2
-    return np.asarray(middle[np.unique(cell, return_inverse=True)[1]], np.float64)
 
 
 def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
@@ -384,7 +346,9 @@ def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
     cell, spread_m = np.concatenate(heights.cell), np.concatenate(heights.spread_m)
     apart_m = max(_LEAST_APART_M, _SPREADS * float(np.median(spread_m)))
     ids, number, count = np.unique(scan, return_inverse=True, return_counts=True)
-    middle = _by_scan(number, off_m)
+    order = np.lexsort((off_m, number))
+    _, first = np.unique(number[order], return_index=True)
+    middle = off_m[order][first + count // 2]
     middle[count < _FEWEST_CELLS] = 0.0
     found = []
     if np.ptp(middle) > apart_m:
@@ -408,10 +372,3 @@ def epoch_doubts(heights: ScanHeights) -> list[Doubt]:
         )
         found.append(Doubt("pavement_epochs", "doubt", text, round(changed, 3), _MOST_CHANGED))
     return found
-
-
-def _by_scan(number: Ints, off_m: Floats) -> Floats:
-    """Median of each scan's departures."""
-    order = np.lexsort((off_m, number))
-    _, first, count = np.unique(number[order], return_index=True, return_counts=True)
-    return np.asarray(off_m[order][first + count // 2], np.float64)

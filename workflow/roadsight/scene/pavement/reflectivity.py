@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
 
+# Reflectance of weathered asphalt near 900 nm (ECOSTRESS library, Meerdink et al. 2019).
 ASPHALT = 0.17
-"""Reflectance of weathered asphalt near 900 nm (ECOSTRESS library, Meerdink et al. 2019)."""
-
+# Voxels whose intensities are averaged: single returns scatter, and surfaces are larger.
 _VOXEL_M = 0.5
-"""Voxels whose intensities are averaged: single returns scatter, and surfaces are larger."""
 
 
 def voxel_means(xyz_m: NDArray[np.floating], intensity: NDArray[np.uint16]) -> pd.DataFrame:

@@ -160,6 +160,9 @@ def cell_for(xyz_m: Floats, settings: RoadSettings) -> float:
     return max(settings.cell_m, round(wanted / 0.05) * 0.05)
 
 
+_FEWEST_POINTS = 100  # Fewer points tell no spacing.
+
+
 def find_road(
     xyz_m: Floats,
     intensity: Floats | None = None,
@@ -188,7 +191,9 @@ def find_road(
             allowed=f"at least {_FEWEST_POINTS}",
         )
     scan = np.zeros(len(xyz_m), np.int64) if scan is None else scan
-    places_m, sure = _scanners(xyz_m, scan)
+    places_m, sure = np.empty((0, 2)), np.empty(0, bool)  # where scanners stood, in order
+    if len(np.unique(scan)) > 1:
+        places_m, sure = scanner_positions(xyz_m, scan)
     closed_m, seam_m = close_turns(xyz_m, scan, places_m, sure)
     levelled, shifts = level_scans(np.column_stack([xyz_m[:, :2], closed_m]), scan)
     points = np.column_stack([xyz_m[:, :2], levelled])
@@ -201,9 +206,10 @@ def find_road(
     if not grown.any():
         raise InputError("no road found: no smooth ground wide enough", hint="give a track")
     road, height = _to_the_edge(ground, grown & ground.measured, settings)
-    more, less = (
-        _grow_from(ground, grown & _inner(seeds, grown), settings, factor) for factor in (1.3, 0.7)
-    )
+    if not seeds.any():  # repeated from the surface far from its edge
+        depth = ndimage.distance_transform_edt(grown)
+        seeds = depth >= 0.6 * depth.max()
+    more, less = (_grow_from(ground, grown & seeds, settings, factor) for factor in (1.3, 0.7))
     inside = ground.cells.count[road]
     layer_m = _layer_m(ground.cells, road)
     if layer_m > settings.roughest_m:
@@ -213,10 +219,11 @@ def find_road(
             allowed=f"up to {100 * settings.roughest_m:.0f} cm",
             hint="give a track, or the pavement as a polygon (placement.tma)",
         )
+    holes = ndimage.binary_fill_holes(road) & ~road
     return RoadSurface(
         grid=ground.cells.grid,
         road=road,
-        bridged=grown & ground.blank & _enclosed(road | (grown & ground.blank), road),
+        bridged=grown & ground.blank & holes,
         height_m=height,
         levelled_m=levelled,
         layer_m=layer_m,
@@ -244,12 +251,9 @@ def road_points(surface: RoadSurface, xyz_m: Floats, settings: RoadSettings) -> 
     return surface.road.ravel()[cell] & (off < allowed)
 
 
-SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)
-"""Each 1.6 times the last; 0.3 to 2 m at the finest cell."""
-_NEAR_M = 0.6
-"""A cell this near to a point is measured if its plane is known."""
-_STEP_WINDOW_M = 3.0
-"""The slope of the street around a kerb: the median of a lane's width."""
+SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)  # Each 1.6 times the last; 0.3 to 2 m at the finest cell.
+_NEAR_M = 0.6  # A cell this near to a point is measured if its plane is known.
+_STEP_WINDOW_M = 3.0  # The slope of the street around a kerb: the median of a lane's width.
 
 
 def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettings) -> _Ground:
@@ -263,7 +267,13 @@ def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettin
     # A cell without ground that is fit for a road is an obstacle, not a gap to be bridged.
     away = ndimage.distance_transform_edt(~measured) * cell_m
     blank = ~measured & (away <= settings.gap_m / 2)
-    looks = np.stack([_tone(cells), _roughness(planes, cells)], axis=-1)
+    # Looks are logarithms: of the intensity, and of the residual about the local planes.
+    there = planes.known.astype(np.float64)
+    square = ndimage.uniform_filter(np.where(planes.known, planes.residual_m**2, 0.0), 5)
+    square /= np.maximum(ndimage.uniform_filter(there, 5), 1e-6)
+    # A tenth of a millimetre: below it a surface is as flat as any.
+    rough = np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
+    looks = np.stack([_tone(cells), rough], axis=-1)
     depth = ndimage.distance_transform_edt(blank) * cell_m
     wide = ndimage.maximum_filter(depth, size=2 * round(1.0 / cell_m) + 1)
     # Along a gap the crossfall changes by about 1 %; the gap is twice as wide as it is deep.
@@ -290,15 +300,6 @@ def _tone(cells: CellMeans) -> Floats:
     return np.where(known, lower, np.nan)
 
 
-def _roughness(planes: LocalPlanes, cells: CellMeans) -> Floats:
-    """Logarithm of the residual about the local planes; NaN where unknown."""
-    known = planes.known.astype(np.float64)
-    square = ndimage.uniform_filter(np.where(planes.known, planes.residual_m**2, 0.0), 5)
-    square /= np.maximum(ndimage.uniform_filter(known, 5), 1e-6)
-    # A tenth of a millimetre: below it a surface is as flat as any.
-    return np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
-
-
 def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
     """Height of the step in each window: slope beyond the street's, over the blurred step's width.
 
@@ -310,6 +311,9 @@ def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
         filled = fill_gaps(np.where(planes.known, slope, np.nan))
         parts.append(slope - ndimage.median_filter(filled, size=size, mode="nearest"))
     return np.hypot(*parts) * planes.scale_m * np.sqrt(2 * np.pi)
+
+
+_MOST_ROUNDS = 5  # What was shut may have hidden another way round: a street needs two rounds.
 
 
 def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float = 1.0) -> Bools:
@@ -330,12 +334,8 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     return grown
 
 
-_MOST_ROUNDS = 5
-"""What was shut may have hidden another way round: a street needs two rounds."""
-_PARTED_M = 2.0
-"""Growth ends up to 1 m before a step from either side."""
-_LEAST_PARTED_M = 3.0
-"""Shorter stretches beside a surface are corners of a gap."""
+_PARTED_M = 2.0  # Growth ends up to 1 m before a step from either side.
+_LEAST_PARTED_M = 3.0  # Shorter stretches beside a surface are corners of a gap.
 
 
 def _parted(ground: _Ground, grown: Bools, joined: Bools, settings: RoadSettings) -> Bools:
@@ -365,13 +365,27 @@ def _rim(core: Bools, way: Bools, cells: int) -> Bools:
     return np.asarray(ndimage.binary_dilation(reached), bool)
 
 
+# Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
+# allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
+# five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
+# 88.6.
+_MOST_SPREAD = 2.0
+
+
 def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float) -> Bools:
     cell_m, planes = ground.cells.grid.cell_size_m, ground.planes
+    seed = seed & ground.measured
     step, sigma = factor * settings.step_m, max(settings.window_m / cell_m, 3.0)
     # A height that is itself unsure may be off by two of its errors, but never by half a kerb.
     allowed = np.minimum(np.hypot(step, 2 * planes.error_m), 1.5 * step)
+    # Spread of each look about its mean in the growth's window, in nine tenths of the seeds.
+    usual = []
+    for look in np.moveaxis(ground.looks, -1, 0):
+        known = seed & np.isfinite(look)
+        _, variance = _local_spread(look, known, sigma)
+        usual.append(np.sqrt(np.percentile(variance[known], 90)) if known.any() else np.inf)
     return grow(
-        seed & ground.measured,
+        seed,
         ground.measured | ground.blank,
         ground.blank,
         planes.height_m,
@@ -380,7 +394,7 @@ def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
         ground.looks,
         np.array([settings.tone_spreads, settings.rough_spreads]),
         np.array([settings.tone_ratio, settings.rough_ratio]),
-        _usual_spread(ground, seed & ground.measured, sigma),
+        _MOST_SPREAD * np.array(usual),
         allowed,
         ground.bridge_m,
         settings.rise * cell_m,
@@ -391,33 +405,25 @@ def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     )
 
 
-def _usual_spread(ground: _Ground, seed: Bools, sigma: float) -> Floats:
-    """Spread of each look about its mean in the growth's window, in nine tenths of the seeds."""
-    usual = []
-    for look in np.moveaxis(ground.looks, -1, 0):
-        known = seed & np.isfinite(look)
-        _, variance = _local_spread(look, known, sigma)
-        usual.append(np.sqrt(np.percentile(variance[known], 90)) if known.any() else np.inf)
-    return _MOST_SPREAD * np.array(usual)
-
-
-_MOST_SPREAD = 2.0
-"""Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
-allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
-five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
-88.6."""
+_MOST_PARTS = 50  # Surfaces tried; a site of some hectares has a dozen.
 
 
 def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSettings) -> Bools:
     """Surface of the seeds; without a track, surfaces from ever smaller seeds as well."""
     if seeded_by != "ground":
         return _grow_from(ground, seeds, settings)
-    area = ground.cells.grid.cell_size_m**2
-    free = _smooth_ground(ground, settings)
+    cell_m = ground.cells.grid.cell_size_m
+    area = cell_m**2
+    # Ground that is flat over a lane's half width or more.
+    flat = ground.measured & (ground.step_m < 0.6 * settings.step_m)
+    free = opened(flat, max(1.0, 1.0 / cell_m)) & flat
     total = np.zeros_like(free)
     largest = 0.0
     for _ in range(_MOST_PARTS):
-        free = _large_enough(free, settings.smallest_m2 / 4 / area)
+        number, _ = ndimage.label(free)
+        large = np.bincount(number.ravel()) >= settings.smallest_m2 / 4 / area
+        large[0] = False
+        free = large[number]
         seed = _widest(ground, free, settings)
         if not seed.any():
             break
@@ -430,31 +436,12 @@ def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSetti
     return total
 
 
-_MOST_PARTS = 50
-"""Surfaces tried; a site of some hectares has a dozen."""
-
-
-def _large_enough(area: Bools, fewest_cells: float) -> Bools:
-    """Connected parts with that many cells."""
-    label, _ = ndimage.label(area)
-    large = np.bincount(label.ravel()) >= fewest_cells
-    large[0] = False
-    return large[label]
-
-
 def opened(area: Bools, radius: float) -> Bools:
     """Opening of a raster by a disc of a radius in cells."""
     core = ndimage.distance_transform_edt(np.pad(area, 1))[1:-1, 1:-1] > radius
     if not core.any():
         return np.zeros_like(area)
     return ndimage.distance_transform_edt(~core) <= radius
-
-
-def _smooth_ground(ground: _Ground, settings: RoadSettings) -> Bools:
-    """Ground that is flat over a lane's half width or more."""
-    cell_m = ground.cells.grid.cell_size_m
-    flat = ground.measured & (ground.step_m < 0.6 * settings.step_m)
-    return opened(flat, max(1.0, 1.0 / cell_m)) & flat
 
 
 def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
@@ -473,40 +460,7 @@ def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
     return seed
 
 
-_HALF_LANE_M = 1.75
-"""Half a lane beside the driven line is lane."""
-_DIRECTION_DEG = 2.0
-"""To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
-to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed a
-kerb; now up to 4."""
-_DIRECTION_M = 10.0
-"""More of a drive is a bend rather than a direction."""
-_FEWEST_POSITIONS = 3
-"""Two positions tell no scatter."""
-_LEAST_SCATTER_M = 0.02
-"""Of positions by survey receivers."""
-_MOVED_M = 0.1
-"""Positions whose first and last are nearer to each other tell no direction."""
-_AHEAD_M = 5.0
-"""The road goes on beyond the first and last position by more than a blind disc."""
-
-
-_FEWEST_POINTS = 100
-"""Fewer points tell no spacing."""
-_ROADSIDE_M = 25.0
-"""Points this near to what is known of the road tell its spacing: four lanes and their sides."""
-_STANDING_M = 3.0
-"""Positions are up to 0.7 m off, so that a shorter drive has no direction."""
-_LOOK_M = 15.0
-"""Flat ground so far to both sides tells a street's direction; walks beside it are not met."""
-_SIDE_M = 2.0
-"""The line of a vehicle that stood reaches to a lane's length beyond its blind disc."""
-_SEED_M = 1.0
-"""Ground this near to a seed is where the road is looked for first."""
-_WATER_M = 2.0
-"""Water reflects few pulses: gaps this near to its points are water."""
-_SEED_OFF_M = 3.0
-"""A seed farther from any ground lies off the cloud or in an obstacle."""
+_WATER_M = 2.0  # Water reflects few pulses: gaps this near to its points are water.
 
 
 def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
@@ -529,11 +483,8 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
     return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut, shut=shut)
 
 
-def _scanners(xyz_m: Floats, scan: Ints) -> tuple[Floats, Bools]:
-    """Where scanners stood (k, 2), in order, and which of them are sure; none of a single scan."""
-    if len(np.unique(scan)) < 2:
-        return np.empty((0, 2)), np.empty(0, bool)
-    return scanner_positions(xyz_m, scan)
+# Points this near to what is known of the road tell its spacing: four lanes and their sides.
+_ROADSIDE_M = 25.0
 
 
 def _around(xyz_m: Floats, driven: Floats, known: KnownRoad) -> Floats:
@@ -560,7 +511,12 @@ def _seeds(
     if known.seeds_xy is not None and len(known.seeds_xy):
         found["seeds"] = _at_seeds(ground, known.seeds_xy)
     if known.road is not None and known.road.any():
-        found["classes"] = _said_road(ground, xyz_m, known.road) & flat
+        # Cells most of whose points are said to be road.
+        grid = ground.cells.grid
+        cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+        said = np.bincount(cell, known.road, minlength=grid.rows * grid.columns).reshape(grid.shape)
+        said = opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0)
+        found["classes"] = said & flat
     if known.track_xy is not None and len(known.track_xy):
         found["track"] = _along_track(ground, flat, known.track_xy)
     if known.core is not None:
@@ -576,6 +532,13 @@ def _seeds(
         if seed.any():
             return seed, "scans"
     return np.zeros_like(flat), "ground"
+
+
+_HALF_LANE_M = 1.75  # Half a lane beside the driven line is lane.
+_STANDING_M = 3.0  # Positions are up to 0.7 m off, so that a shorter drive has no direction.
+# Flat ground so far to both sides tells a street's direction; walks beside it are not met.
+_LOOK_M = 15.0
+_SIDE_M = 2.0  # The line of a vehicle that stood reaches to a lane's length beyond its blind disc.
 
 
 def _with_direction(ground: _Ground, flat: Bools, places: Floats) -> Floats:
@@ -599,13 +562,12 @@ def _with_direction(ground: _Ground, flat: Bools, places: Floats) -> Floats:
     return np.array([middle - _SIDE_M * best, middle + _SIDE_M * best])
 
 
-def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
-    """Measured ground around places (k, 2).
+_SEED_M = 1.0  # Ground this near to a seed is where the road is looked for first.
+_SEED_OFF_M = 3.0  # A seed farther from any ground lies off the cloud or in an obstacle.
 
-    Raises
-    ------
-    InputError : one of them has none.
-    """
+
+def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
+    """Measured ground around places (k, 2), or an `InputError` where one of them has none."""
     row, column = np.nonzero(ground.measured)
     tree = cKDTree(np.column_stack(ground.cells.grid.centres(column, row)))
     off_m, _ = tree.query(seeds_xy)
@@ -624,14 +586,6 @@ def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
     return seed
 
 
-def _said_road(ground: _Ground, xyz_m: Floats, road: Bools) -> Bools:
-    """Cells (rows, columns) most of whose points are said to be road."""
-    grid = ground.cells.grid
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    said = np.bincount(cell, road, minlength=grid.rows * grid.columns).reshape(grid.shape)
-    return opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0) & ground.measured
-
-
 def _along_track(ground: _Ground, flat: Bools, track_xy: Floats) -> Bools:
     """Flat ground of the lane that a vehicle drove in."""
     line = driven_line(track_xy[:, :2])
@@ -648,6 +602,17 @@ def driven_line(xy_m: Floats) -> shapely.Geometry:
     return shapely.linestrings(np.vstack([_before(xy_m), xy_m, _before(xy_m[::-1])]))
 
 
+# To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
+# to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed
+# a kerb; now up to 4.
+_DIRECTION_DEG = 2.0
+_DIRECTION_M = 10.0  # More of a drive is a bend rather than a direction.
+_FEWEST_POSITIONS = 3  # Two positions tell no scatter.
+_LEAST_SCATTER_M = 0.02  # Of positions by survey receivers.
+_MOVED_M = 0.1  # Positions whose first and last are nearer to each other tell no direction.
+_AHEAD_M = 5.0  # The road goes on beyond the first and last position by more than a blind disc.
+
+
 def _before(xy_m: Floats) -> Floats:
     """Place (2,) on the way to the first of the positions (n, 2), straight on.
 
@@ -657,7 +622,11 @@ def _before(xy_m: Floats) -> Floats:
     away_m = np.hypot(*(xy_m - xy_m[0]).T)
     near = slice(_first(away_m >= _DIRECTION_M))
     count = np.arange(1, len(xy_m[near]) + 1)
-    off_m = _scatter_m(xy_m[near]) * np.sqrt(12 / count)
+    # Scatter about a smooth drive: second differences of independent errors spread by the root of
+    # six of them, and have a median length of 1.18 of that; a corner of the drive is an outlier.
+    bend_m = np.hypot(*np.diff(xy_m[near], 2, axis=0).T)
+    spread_m = float(np.median(bend_m)) / (1.18 * np.sqrt(6)) if bend_m.size else 0.0
+    off_m = float(np.hypot(spread_m, _LEAST_SCATTER_M)) * np.sqrt(12 / count)
     told = (off_m <= np.radians(_DIRECTION_DEG) * away_m[near]) & (count >= _FEWEST_POSITIONS)
     used = xy_m[: _first(told)]
     along = np.linalg.svd(used - used.mean(axis=0), full_matrices=False)[2][0]
@@ -670,23 +639,12 @@ def _first(fit: Bools) -> int:
     return int(np.argmax(fit)) + 1 if fit.any() else len(fit)
 
 
-def _scatter_m(xy_m: Floats) -> float:
-    """Standard deviation of each coordinate of positions (n, 2) about a smooth drive.
-
-    Second differences of independent errors spread by the root of six of them, and have a median
-    length of 1.18 of that; a corner of the drive is an outlier.
-    """
-    bend_m = np.hypot(*np.diff(xy_m, 2, axis=0).T)
-    spread_m = float(np.median(bend_m)) / (1.18 * np.sqrt(6)) if bend_m.size else 0.0
-    return float(np.hypot(spread_m, _LEAST_SCATTER_M))
-
-
-def _inner(seeds: Bools, grown: Bools) -> Bools:
-    """Seeds to repeat a growth from: the given ones, else the surface far from its edge."""
-    if seeds.any():
-        return seeds
-    depth = ndimage.distance_transform_edt(grown)
-    return depth >= 0.6 * depth.max()
+# Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have.
+_OWN_POINTS = 4
+# The growth looks at tones through windows, of which the lower third counts, and so may run on by
+# three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
+# either side without this rim, 0 to 0.07 m with it.
+_RIM_M = 0.6
 
 
 def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[Bools, Floats]:
@@ -718,14 +676,6 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     return opened(ndimage.binary_closing(toned) & whole, 2.0) | (inner & whole), height
 
 
-_OWN_POINTS = 4
-"""Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have."""
-_RIM_M = 0.6
-"""The growth looks at tones through windows, of which the lower third counts, and so may run on by
-three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
-either side without this rim, 0 to 0.07 m with it."""
-
-
 def _as_toned(ground: _Ground, road: Bools, settings: RoadSettings) -> Bools:
     """Cells whose own tone is that of the road beside them, or that hold no point."""
     cells, looks = ground.cells, ground.looks[..., 0]
@@ -750,11 +700,6 @@ def _local_spread(look: Floats, known: Bools, sigma: float) -> tuple[Floats, Flo
 def _log_tone(cells: CellMeans) -> Floats:
     """Logarithm of the intensity; a tenth of the typical one keeps the darkest from blowing up."""
     return np.log(cells.intensity + 0.1 * float(np.median(cells.intensity[cells.count > 0])))
-
-
-def _enclosed(area: Bools, road: Bools) -> Bools:
-    """Cells of holes in the road: not connected to the outside without crossing it."""
-    return ndimage.binary_fill_holes(road) & ~road & area
 
 
 def _open_share(ground: _Ground, road: Bools, settings: RoadSettings) -> float:

@@ -16,26 +16,10 @@ from scipy import ndimage
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.scene.grids import Grid
 
-_CELL_M = 0.4
-"""Shared cells: wide enough to be hit by several scans, narrower than a kerb's strip."""
-
-_ROUNDS = 4
-"""Means and planes in turn; the planes change by less than 0.1 mm after the third."""
-
-_FLAT_M = 0.08
-"""A scan's points in one cell that spread more are not on flat ground."""
-
-_FEWEST = 100
-"""Shared cells below which a scan keeps its heights."""
-
-_BLIND_M = 4.0
-"""Widest blind disc below a turning scanner on a vehicle that is told from a shadow."""
-
-_LEAST_BLIND_M = 1.5
-"""Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees."""
-
-_NEXT_M = 10.0
-"""A vehicle is so near when it takes another scan: a third of a second at 30 m/s."""
+_CELL_M = 0.4  # Shared cells: wide enough to be hit by several scans, narrower than a kerb's strip.
+_ROUNDS = 4  # Means and planes in turn; the planes change by less than 0.1 mm after the third.
+_FLAT_M = 0.08  # A scan's points in one cell that spread more are not on flat ground.
+_FEWEST = 100  # Shared cells below which a scan keeps its heights.
 
 
 def level_scans(xyz_m: Floats, scan: Ints) -> tuple[Floats, Floats]:
@@ -101,23 +85,11 @@ def _robust_plane(design: Floats, height_m: Floats) -> Floats:
     return plane
 
 
+# Scans, at even steps, that are asked for their blind disc: it tells vehicles from strips.
 _ASKED_SCANS = 40
-"""Scans, at even steps, that are asked for their blind disc: it tells vehicles from strips."""
-
+# Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
+# centimetres, a kerb and a slope of 30 % across the cell.
 _LOW_M = 0.5
-"""Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
-centimetres, a kerb and a slope of 30 % across the cell."""
-
-_DENSER = 1.1
-"""Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
-drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips."""
-
-_DENSEST = 0.55
-"""The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
-strips and of whole drives that are one scan."""
-
-_WIDEST_CELLS = 4_000_000
-"""Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner."""
 
 
 def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str, float]:
@@ -139,7 +111,11 @@ def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str,
     asked = numbers[np.unique(steps.round().astype(np.int64))]
     held_xyz, held_scan = [], []
     for xyz_m, scan in parts():
-        wanted = np.isin(scan, asked) & _is_low(xyz_m)
+        grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 1.0)
+        cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+        lowest = np.full(grid.rows * grid.columns, np.inf)
+        np.minimum.at(lowest, cell, xyz_m[:, 2])
+        wanted = np.isin(scan, asked) & (xyz_m[:, 2] - lowest[cell] < _LOW_M)
         held_xyz.append(xyz_m[wanted])
         held_scan.append(scan[wanted])
     _, sure = scanner_positions(np.concatenate(held_xyz), np.concatenate(held_scan))
@@ -147,13 +123,17 @@ def count_scans(parts: Callable[[], Iterable[tuple[Floats, Ints]]]) -> dict[str,
     return {"number": len(numbers), "blind_share": float(sure.sum() / len(asked))}
 
 
-def _is_low(xyz_m: Floats) -> Bools:
-    """Points (n,) that lie low in their cell of 1 m: ground where there is any, at little cost."""
-    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 1.0)
-    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
-    lowest = np.full(grid.rows * grid.columns, np.inf)
-    np.minimum.at(lowest, cell, xyz_m[:, 2])
-    return np.asarray(xyz_m[:, 2] - lowest[cell] < _LOW_M, bool)
+_BLIND_M = 4.0  # Widest blind disc below a turning scanner on a vehicle that is told from a shadow.
+_LEAST_BLIND_M = 1.5  # Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees.
+_NEXT_M = 10.0  # A vehicle is so near when it takes another scan: a third of a second at 30 m/s.
+# Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
+# drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips.
+_DENSER = 1.1
+# The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
+# strips and of whole drives that are one scan.
+_DENSEST = 0.55
+# Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner.
+_WIDEST_CELLS = 4_000_000
 
 
 def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[Floats, Bools]:
@@ -194,20 +174,13 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
         found.append((float(x), float(y)))
         wide.append(bool(empty[best] >= _LEAST_BLIND_M))
         sure.append(bool(wide[-1] and density[best] > least))
-    xy = np.array(found).reshape(-1, 2)
-    return xy, _with_neighbours(xy, np.array(sure, dtype=bool), np.array(wide, dtype=bool))
-
-
-def _with_neighbours(xy: Floats, sure: Bools, wide: Bools) -> Bools:
-    """Scans (n,) that are sure, or have a wide disc where a sure one near them has its own.
-
-    Of a map that keeps one point a cell only the first scans are dense around their discs. Of two
-    sure ones neither is chance.
-    """
-    if sure.sum() < 2:
-        return sure
-    off = np.hypot(*(xy[:, None] - xy[None, sure]).transpose(2, 0, 1))
-    return np.asarray(sure | (wide & (off <= _NEXT_M).any(axis=1)), bool)
+    xy, is_sure = np.array(found).reshape(-1, 2), np.array(sure, dtype=bool)
+    # Of a map that keeps one point a cell only the first scans are dense around their discs: others
+    # are sure if their disc is wide and a sure one is near. Of two sure ones neither is chance.
+    if is_sure.sum() >= 2:
+        off = np.hypot(*(xy[:, None] - xy[None, is_sure]).transpose(2, 0, 1))
+        is_sure = is_sure | (np.array(wide, dtype=bool) & (off <= _NEXT_M).any(axis=1))
+    return xy, is_sure
 
 
 # Turns of a scanner that do not close: a step along the ray where each turn begins and ends.
@@ -217,59 +190,34 @@ def _with_neighbours(xy: Floats, sure: Bools, wide: Bools) -> Bools:
 # another height. All turns of a drive show that step along the same ray, usually straight behind
 # the vehicle: down the middle of the street, as high as a kerb.
 
+# Part of a ray that is looked at: from beyond the blind disc to where rings are 2 m apart.
 _NEAREST_M, _FARTHEST_M = 3.0, 25.0
-"""Part of a ray that is looked at: from beyond the blind disc to where rings are 2 m apart."""
-
-_RING_M = 1.0
-"""Length of the parts of a ray; each tells a step of its own."""
-
+_RING_M = 1.0  # Length of the parts of a ray; each tells a step of its own.
 _RINGS = round((_FARTHEST_M - _NEAREST_M) / _RING_M)
-
+# Parts that tell a turn's step by their median: a kerb crosses a ray in one or two.
 _FEWEST_RINGS = 6
-"""Parts that tell a turn's step by their median: a kerb crosses a ray in one or two."""
-
-_OFF_M = 0.8
-"""A scanner's place is known to 0.7 m, so that the ray may run so far beside it."""
-
-_STRIP_M = 0.1
-"""Width of strips along the ray, in which points are summed."""
-
+_OFF_M = 0.8  # A scanner's place is known to 0.7 m, so that the ray may run so far beside it.
+_STRIP_M = 0.1  # Width of strips along the ray, in which points are summed.
+# Strips of each of two groups on either side, which tell the slope there too: two groups are
+# narrower than a gutter is away from where a vehicle drives.
 _STRIPS = 3
-"""Strips of each of two groups on either side, which tell the slope there too: two groups are
-narrower than a gutter is away from where a vehicle drives."""
-
-_FEWEST_POINTS = 3
-"""In each group."""
-
+_FEWEST_POINTS = 3  # In each group.
 _HALF_WIDTH_M = _OFF_M + 2 * _STRIPS * _STRIP_M
-
 _ACROSS = round(2 * _HALF_WIDTH_M / _STRIP_M)
-
+# Between rays that are tried first: of a seam between two of them a group of strips holds 17 m.
 _COARSE_DEG = 2.0
-"""Between rays that are tried first: of a seam between two of them a group of strips holds 17 m."""
-
-_AROUND_DEG = 5.0
-"""Directions of travel are known so well: places 0.3 m off, on a way of 5 m."""
-
+_AROUND_DEG = 5.0  # Directions of travel are known so well: places 0.3 m off, on a way of 5 m.
+# Between rays that each turn tries around the common one: a strip's width at half the way.
 _FINE_DEG = 0.5
-"""Between rays that each turn tries around the common one: a strip's width at half the way."""
-
-_ASKED_TURNS = 40
-"""Turns, at even steps, that are asked for the common ray; 0.1 CPU s each."""
-
-_ALMOST = 0.9
-"""Rays and offsets that show so much of the highest step are averaged."""
-
+_ASKED_TURNS = 40  # Turns, at even steps, that are asked for the common ray; 0.1 CPU s each.
+_ALMOST = 0.9  # Rays and offsets that show so much of the highest step are averaged.
+# Lower steps are left, twice what counts as a step. Of five streets with ten turns each, the turns
+# of one share a step of 16 cm, straight behind the vehicle; those of the others at most 1.7 cm,
+# along any ray.
 _LEAST_STEP_M = 0.04
-"""Lower steps are left, twice what counts as a step. Of five streets with ten turns each, the turns
-of one share a step of 16 cm, straight behind the vehicle; those of the others at most 1.7 cm, along
-any ray."""
-
+# Share of the turns whose step has the median's sign and at least half of its height.
 _ALIKE_SHARE = 0.7
-"""Share of the turns whose step has the median's sign and at least half of its height."""
-
-_MOVED_M = 5.0
-"""A way that tells a direction: places are up to 0.7 m off."""
+_MOVED_M = 5.0  # A way that tells a direction: places are up to 0.7 m off.
 
 
 def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tuple[Floats, float]:
@@ -299,7 +247,12 @@ def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tup
 
     asked = [turn(k) for k in range(0, len(members), -(-len(members) // _ASKED_TURNS))]
     rays = np.radians(np.arange(0.0, 360.0, _COARSE_DEG))
-    common = _common(np.array([[_highest(one.steps_m(ray)) for ray in rays] for one in asked]))
+    steps_m = np.array([[_highest(one.steps_m(ray)) for ray in rays] for one in asked])
+    # The step that most turns show along each ray, else 0.
+    median = np.nanmedian(np.where(np.isfinite(steps_m).any(axis=0), steps_m, 0.0), axis=0)
+    with np.errstate(invalid="ignore"):
+        alike = (steps_m * np.sign(median) >= 0.5 * np.abs(median)).sum(axis=0)
+    common = np.where(alike >= _ALIKE_SHARE * len(steps_m), median, 0.0)
     best = int(np.argmax(np.abs(common)))
     step_m, opposite_m = common[best], common[best - len(rays) // 2]
     if abs(step_m) < max(_LEAST_STEP_M, 2.0 * abs(opposite_m)):
@@ -377,14 +330,6 @@ def _highest(steps_m: Floats) -> float:
     """The step farthest from 0, NaN of none."""
     known = np.abs(np.nan_to_num(steps_m))
     return float(steps_m[np.argmax(known)]) if known.any() else np.nan
-
-
-def _common(steps_m: Floats) -> Floats:
-    """Step (k,) that most turns show along each ray, of (turns, k); else 0."""
-    median = np.nanmedian(np.where(np.isfinite(steps_m).any(axis=0), steps_m, 0.0), axis=0)
-    with np.errstate(invalid="ignore"):
-        alike = (steps_m * np.sign(median) >= 0.5 * np.abs(median)).sum(axis=0)
-    return np.where(alike >= _ALIKE_SHARE * len(steps_m), median, 0.0)
 
 
 def _ramp_m(xyz_m: Floats, turn: _Turn, ray: float, step_m: float) -> Floats:

@@ -2,7 +2,7 @@
 
 Progressive morphological opening in the manner of SMRF (Pingel, Clarke and McBride 2013,
 doi:10.1016/j.isprsjprs.2012.12.002), with a lower slope than theirs; what that cuts off terrace
-edges and ridges comes back where the ground at one side continues into it (`recovery`).
+edges and ridges comes back where the ground at one side continues into it (`recover`).
 
 The constants were measured on seven ISPRS filter samples and five labelled street scans.
 """
@@ -22,45 +22,6 @@ from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.ground_settings import ROUGHNESS_PER_SPACING
-
-_PIT_SHARE = 0.2
-"""A cell is multipath if it lies below four fifths of those around, by more than ground departs
-from a plane."""
-
-_PIT_PASSES = 2
-"""Pits beside pits are found once those are gone."""
-
-_PIT_HALVES = (2, 4, 8, 16)
-"""Windows that tell a pit, half widths in cells: the first that holds so many known cells."""
-
-_PIT_CELLS = 8
-"""As many as surround a cell; fewer may be a pit's own neighbours."""
-
-_PIT_ABYSS_M = 3.0
-"""Little drops so far within two cells, so that what is as deep gets a second look in wider
-windows: pits come in clusters. Airborne scans of a generated valley have some of 4 m: at 6 m of
-depth, its ridges were cut off between them. Cliffs of an ISPRS sample cost 0.1 points."""
-
-_PIT_WIDEST = 8
-"""... but no wider, half width in cells: courtyards and streets between roofs are wider."""
-
-_PIT_ROUGH = 1 / 15
-"""Ground above a pit may be as rough as this share of its depth; crowns above the ground of a wood
-are rougher."""
-
-_GAP_SPACINGS = 3.0
-"""Sparse random points leave gaps of about two spacings; a wider one is a shadow or a footprint."""
-
-_GAP_WIDENS = 1.5
-"""A cell in it takes the lowest height of a window 1.5 times as wide as its way to a known cell."""
-
-_GAP_HALVES = (5, 7, 10, 14, 20, 28)
-
-_SPACING_HALF = 5
-"""Half width of the window that counts known cells for their spacing, cells."""
-
-_RELAXATIONS = 30
-"""Jacobi passes that smooth filled gaps."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +67,24 @@ def coarse_ground(grid: Grid, lowest_m: Floats, settings: GroundFilter) -> Coars
     steps = [np.gradient(surface, cell, axis=a) for a in (0, 1) if surface.shape[a] > 1]
     slope = np.sqrt(sum((step**2 for step in steps), np.zeros_like(surface)))
     return CoarseGround(grid, surface, slope, spacing)
+
+
+# A cell is multipath if it lies below four fifths of those around, by more than ground departs from
+# a plane.
+_PIT_SHARE = 0.2
+_PIT_PASSES = 2  # Pits beside pits are found once those are gone.
+# Windows that tell a pit, half widths in cells: the first that holds so many known cells.
+_PIT_HALVES = (2, 4, 8, 16)
+_PIT_CELLS = 8  # As many as surround a cell; fewer may be a pit's own neighbours.
+# Little drops so far within two cells, so that what is as deep gets a second look in wider windows:
+# pits come in clusters. Airborne scans of a generated valley have some of 4 m: at 6 m of depth, its
+# ridges were cut off between them. Cliffs of an ISPRS sample cost 0.1 points.
+_PIT_ABYSS_M = 3.0
+# ... but no wider, half width in cells: courtyards and streets between roofs are wider.
+_PIT_WIDEST = 8
+# Ground above a pit may be as rough as this share of its depth; crowns above the ground of a wood
+# are rougher.
+_PIT_ROUGH = 1 / 15
 
 
 def low_outliers(lowest_m: Floats, deep_m: Floats) -> Bools:
@@ -196,6 +175,9 @@ def _off_plane(points: Floats) -> Floats:
     return z - (xz * yy - yz * xy) / det * x - (yz * xx - xz * xy) / det * y
 
 
+_RELAXATIONS = 30  # Jacobi passes that smooth filled gaps.
+
+
 def fill_smoothly(values: Floats, known: Bools) -> Floats:
     """Gaps take the mean of the smallest window that knows anything, then are relaxed.
 
@@ -248,11 +230,21 @@ def box_sum(values: Floats, half: int) -> Floats:
     return ndimage.correlate1d(once, weights, axis=1, mode="constant")
 
 
+_SPACING_HALF = 5  # Half width of the window that counts known cells for their spacing, cells.
+
+
 def cell_spacing(known: Bools) -> Floats:
     """Spacing of the known cells around each cell, in cells, at least one."""
     full = (2 * _SPACING_HALF + 1) ** 2
     count = box_sum(known.astype(np.float64), _SPACING_HALF)
     return np.sqrt(full / np.maximum(count, 1.0))
+
+
+# Sparse random points leave gaps of about two spacings; a wider one is a shadow or a footprint.
+_GAP_SPACINGS = 3.0
+# A cell in it takes the lowest height of a window 1.5 times as wide as its way to a known cell.
+_GAP_WIDENS = 1.5
+_GAP_HALVES = (5, 7, 10, 14, 20, 28)
 
 
 def _without_unseen_rises(
@@ -302,29 +294,17 @@ def _three_by_three(operation: Callable[..., Any], heights: Floats32, step: int)
 
 # Ground that an opening cut off comes back where the ground at one side continues into it.
 
-_RECOVERY_SPACINGS = 3.5
-"""Cut ground comes back from a half-disc of this many spacings."""
-
-_RECOVERY_CELLS = 12
-"""... but no wider than this: it bounds the time in clouds with few cells."""
-
+_RECOVERY_SPACINGS = 3.5  # Cut ground comes back from a half-disc of this many spacings.
+_RECOVERY_CELLS = 12  # ... but no wider than this: it bounds the time in clouds with few cells.
+# ... in which this share of the known cells is ground: a plateau and not a lawn beside a house.
 _RECOVERY_SHARE = 0.7
-"""... in which this share of the known cells is ground: a plateau and not a lawn beside a house."""
-
-_RECOVERY_CELLS_MIN = 6
-"""... and at least so many, twice what a plane needs."""
-
+_RECOVERY_CELLS_MIN = 6  # ... and at least so many, twice what a plane needs.
+# A cell may lie this far from the plane of that half-disc, and further on a slope (per unit).
 _RECOVERY_M = 0.3
-"""A cell may lie this far from the plane of that half-disc, and further on a slope (per unit)."""
-
+# On 45 degrees twice the distance: heights within a cell differ by as much as it is wide.
 _RECOVERY_PER_SLOPE_M = 0.3
-"""On 45 degrees twice the distance: heights within a cell differ by as much as it is wide."""
-
-_RECOVERY_STEEPEST = 1.0
-"""Steeper planes (45 degrees) say nothing about the cell beside them."""
-
-_RECOVERY_PASSES = 5
-"""Recovered strips grow inwards so many times."""
+_RECOVERY_STEEPEST = 1.0  # Steeper planes (45 degrees) say nothing about the cell beside them.
+_RECOVERY_PASSES = 5  # Recovered strips grow inwards so many times.
 
 
 def recover(
@@ -423,15 +403,13 @@ def _plane_meets(s: Floats, cell_m: float) -> bool:
 # cells, which no comparison with neighbouring cells can tell from a pit. In a dense cell they are
 # few beside the points of the road, and a gap without points lies between.
 
+# Height without points that parts mirror images from the road; kerbs and ditches have less.
 _GAP_M = 1.0
-"""Height without points that parts mirror images from the road; kerbs and ditches have less."""
-
+# Points below a gap that are a smaller share of their cell are no ground; a mirrored road was up to
+# so much of it on a mobile scan of a junction.
 _SUPPORT = 0.1
-"""Points below a gap that are a smaller share of their cell are no ground; a mirrored road was up
-to so much of it on a mobile scan of a junction."""
-
+# Cells with fewer points keep their lowest one: one point is no small share there.
 _LEAST_POINTS = 50
-"""Cells with fewer points keep their lowest one: one point is no small share there."""
 
 
 def lowest_supported(grid: Grid, x: Floats, y: Floats, z: Floats) -> Floats:

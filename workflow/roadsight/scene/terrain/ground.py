@@ -40,53 +40,45 @@ from roadsight.scene.terrain.ground_settings import (
     steady_pillars,
 )
 
+# SMRF's elevation scalar, per coarse cell: the surface is the lowest point of a cell.
 _SLOPE_SCALAR = 1.25
-"""SMRF's elevation scalar, per coarse cell: the surface is the lowest point of a cell."""
+# A usual kerb (they are 3 to 25 cm): less than this above the lowest point proves no object.
 _KERB_M = 0.15
-"""A usual kerb (they are 3 to 25 cm): less than this above the lowest point proves no object."""
+# Points from the kerb's height up to this prove an object that stands in the pillar.
 _OBJECT_TOP_M = 0.75
-"""Points from the kerb's height up to this prove an object that stands in the pillar."""
-_ENOUGH_POINTS = 10
-"""Counts per pillar beyond this say no more: a wall has thousands of points."""
+_ENOUGH_POINTS = 10  # Counts per pillar beyond this say no more: a wall has thousands of points.
+# Share of a layer's points that its noise throws beyond its end: they prove no object.
 _STRAYS = 0.02
-"""Share of a layer's points that its noise throws beyond its end: they prove no object."""
-_CLEAN_SHARE = 0.2
-"""Share of points above from which a pillar is no pattern for its neighbours."""
-_OBJECT_SHARE = 0.4
-"""Share of points above from which the narrow threshold holds alone."""
+_CLEAN_SHARE = 0.2  # Share of points above from which a pillar is no pattern for its neighbours.
+_OBJECT_SHARE = 0.4  # Share of points above from which the narrow threshold holds alone.
+# A point within so many sigmas of the ground layer is of it where an object stands.
 _NARROW_SIGMAS = 0.5
-"""A point within so many sigmas of the ground layer is of it where an object stands."""
-_NARROW_LEAST_M = 0.02
-"""... and never less: range noise of a scanner."""
-_WIDE_SIGMAS = 3.0
-"""... and elsewhere."""
-_LAYER_M = 0.25
-"""Layer above the lowest point whose spread is measured first: five sigmas of 5 cm."""
+_NARROW_LEAST_M = 0.02  # ... and never less: range noise of a scanner.
+_WIDE_SIGMAS = 3.0  # ... and elsewhere.
+_LAYER_M = 0.25  # Layer above the lowest point whose spread is measured first: five sigmas of 5 cm.
+# Roughness of a road and grass: the middle is taken of at least so thick a layer.
 _LEAST_LAYER_M = 0.1
-"""Roughness of a road and grass: the middle is taken of at least so thick a layer."""
+# Noise that fills that layer is measured once more, in one so much thicker than it seems: 8 cm seem
+# to be 6.
 _LAYER_MARGIN = 1.3
-"""Noise that fills that layer is measured once more, in one so much thicker than it seems: 8 cm
-seem to be 6."""
-_LAYER_SIGMAS = 4.0
-"""Least thickness of the layer above its lowest point."""
+_LAYER_SIGMAS = 4.0  # Least thickness of the layer above its lowest point.
+# The layer ends so far above its middle; with 40 points to a pillar the lowest lies 2.2 below.
 _ABOVE_MIDDLE_SIGMAS = 2.5
-"""The layer ends so far above its middle; with 40 points to a pillar the lowest lies 2.2 below."""
+# The bottom of a hedge is so many times as rough as the smoothest layer around; streets gain as
+# much F1 with 1.5, and lose 0.05 of it with 3.
 _HEDGE_RATIO = 2.0
-"""The bottom of a hedge is so many times as rough as the smoothest layer around; streets gain as
-much F1 with 1.5, and lose 0.05 of it with 3."""
+# ... and its spread at least this share of the height threshold, 2 cm in the finest pillars: grass
+# has less. Streets gain 0.3 of F1 with 0.15 to 0.2.
 _HEDGE_SHARE = 0.2
-"""... and its spread at least this share of the height threshold, 2 cm in the finest pillars: grass
-has less. Streets gain 0.3 of F1 with 0.15 to 0.2."""
+# In pillars wider than so many of the finest, the relief of the ground itself is as thick.
 _HEDGE_WIDTHS = 2.0
-"""In pillars wider than so many of the finest, the relief of the ground itself is as thick."""
+# Percentile of the lowest points around: below the middle, since objects are above the ground.
 _AROUND_PERCENTILE = 25
-"""Percentile of the lowest points around: below the middle, since objects are above the ground."""
+# Grass and objects only add to a spread: the low ones show the noise itself.
 _SPREAD_PERCENTILE = 15
-"""Grass and objects only add to a spread: the low ones show the noise itself."""
+# Standard errors of a spread that this percentile lies below the noise, on flat planes.
 _LOW_BY_CHANCE = 0.65
-"""Standard errors of a spread that this percentile lies below the noise, on flat planes."""
-_SPREAD_POINTS = 4
-"""Points in a pillar that can tell its spread."""
+_SPREAD_POINTS = 4  # Points in a pillar that can tell its spread.
 
 
 def ground_mask(
@@ -198,34 +190,35 @@ def pillar_mask(
     sigma, thick = _layer_sigma_m(flat, rise_m, tilt, lowest, half, steady_pillars(width_m))
     agrees = np.abs(lowest - around) <= base_m + 3 * sigma + 2 * tilt_of
     level = np.where(agrees, lowest, around)
-    share = _object_share(flat, rise_m, level, tilt, np.maximum(base_m, thick))
+    # Share of the low points of a pillar and its eight neighbours that stand above a kerb.
+    low, high = _low_and_high(
+        flat, rise_m, level, tilt, np.maximum(base_m, thick), _KERB_M, _OBJECT_TOP_M
+    )
+    high = np.maximum(high - _STRAYS * low, 0)
+    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in (low, high))
+    share = high / np.maximum(low + high, 1)
     clean = agrees & (share < _CLEAN_SHARE)
     pattern = _mean_around(level, clean, 1)
     pattern = np.where(np.isnan(pattern), level, pattern)
-    middle = _layer_middle_m(flat, rise_m, tilt, pattern, clean, thick)
+    layer = np.where(clean, np.maximum(_LEAST_LAYER_M, thick), np.nan)
+    count, total = (box_sum(c, 2) for c in _layer_mean(flat, rise_m, tilt, pattern, layer))
+    middle = total / np.maximum(count, 1)
     highest = ndimage.maximum_filter(np.where(clean, level, -np.inf), 3, mode="nearest")
     wide = np.maximum(base_m, _WIDE_SIGMAS * sigma)
     narrow = np.minimum(wide, np.maximum(_NARROW_LEAST_M, _NARROW_SIGMAS * sigma))
     allowed = wide + (narrow - wide) * np.clip(share / _OBJECT_SHARE, 0, 1)
     if width_m <= _HEDGE_WIDTHS * settings.pillar_width_m:
-        rough = _is_rougher(sigma, base_m, steady_pillars(width_m))
+        # Layers much rougher than the smoothest one around. Noise of registration changes slowly,
+        # so that it is about the same so far away. A spread of 0 is an unknown one.
+        known = np.where(sigma > 0, sigma, np.inf)
+        floor = ndimage.minimum_filter(known, 2 * steady_pillars(width_m) + 1, mode="nearest")
+        rough = (sigma > _HEDGE_SHARE * base_m) & (sigma > _HEDGE_RATIO * floor)
         side = hedge_pillars(width_m)
         hedge = ndimage.binary_opening(rough & (share >= _CLEAN_SHARE), np.ones((side, side)))
         allowed = np.where(hedge, -np.inf, allowed)
     # The face of a kerb lies between the levels at its two sides.
     top = np.maximum(pattern, highest) + middle + allowed
     return _between(flat, rise_m, tilt, pattern + middle - allowed, top)
-
-
-def _is_rougher(sigma_m: Floats, base_m: float, far: int) -> Bools:
-    """Pillars (rows, columns) whose layer is much rougher than the smoothest one around.
-
-    Noise of registration changes slowly, so that it is about the same up to ``far`` pillars away.
-    A spread of 0 is an unknown one.
-    """
-    known = np.where(sigma_m > 0, sigma_m, np.inf)
-    floor = ndimage.minimum_filter(known, 2 * far + 1, mode="nearest")
-    return (sigma_m > _HEDGE_SHARE * base_m) & (sigma_m > _HEDGE_RATIO * floor)
 
 
 @compiled()
@@ -300,14 +293,6 @@ def _layer_moments(
     return count, total, square
 
 
-def _object_share(flat: Ints, rise: Floats, level: Floats, tilt: Floats, layer_m: Floats) -> Floats:
-    """Share of the low points of a pillar and its eight neighbours that stand above a kerb."""
-    low, high = _low_and_high(flat, rise, level, tilt, layer_m, _KERB_M, _OBJECT_TOP_M)
-    high = np.maximum(high - _STRAYS * low, 0)
-    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in (low, high))
-    return high / np.maximum(low + high, 1)
-
-
 @compiled()
 def _low_and_high(
     flat: Ints,
@@ -336,15 +321,6 @@ def _mean_around(values: Floats, chosen: Bools, half: int) -> Floats:
     count = box_sum(chosen.astype(np.float64), half)
     total = box_sum(np.where(chosen, values, 0.0), half)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _layer_middle_m(
-    flat: Ints, rise: Floats, tilt: Floats, pattern: Floats, clean: Bools, thick_m: Floats
-) -> Floats:
-    """Middle of the layer above the pattern of lowest points."""
-    thick = np.where(clean, np.maximum(_LEAST_LAYER_M, thick_m), np.nan)
-    count, total = (box_sum(c, 2) for c in _layer_mean(flat, rise, tilt, pattern, thick))
-    return total / np.maximum(count, 1)
 
 
 @compiled()

@@ -16,13 +16,10 @@ from roadsight.scene.terrain.ground import ground_mask, published_ground
 from roadsight.scene.terrain.ground_settings import reach_m
 
 Bounds = tuple[float, float, float, float]
+# Function of a halo in metres that yields (core bounds, (n, 3) points of core and halo).
 Tiles = Callable[[float], Iterator[tuple[Bounds, Floats]]]
-"""Function of a halo in metres that yields (core bounds, (n, 3) points of core and halo)."""
-
-_GAP_M = 5.0
-"""Gaps as wide as a parked lorry or a tree lie inside the scanned area."""
-_NOISE_POINTS = 10
-"""Points in a cell that can tell its spread."""
+_GAP_M = 5.0  # Gaps as wide as a parked lorry or a tree lie inside the scanned area.
+_NOISE_POINTS = 10  # Points in a cell that can tell its spread.
 
 
 def label_ground(

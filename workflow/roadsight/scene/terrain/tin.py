@@ -16,8 +16,8 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.ray_casting import RayScene
 
+# Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions.
 _UNITS_PER_M = 10_000
-"""Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,16 @@ def triangulate(points_m: Floats, longest_m: float) -> Terrain:
     used = np.unique(triangles)
     number = np.full(len(points_m), -1, np.int32)
     number[used] = np.arange(len(used), dtype=np.int32)
-    return Terrain(points_m[used], _ordered(number[triangles], plan[used]))
+    # Counter-clockwise from their least vertex, in rising order.
+    triangles, plan = number[triangles], plan[used]
+    a, b, c = (plan[triangles[:, k]] for k in range(3))
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles = np.where(turn[:, None] < 0, triangles[:, ::-1], triangles)
+    start = triangles.argmin(axis=1)
+    rows = np.arange(len(triangles))[:, None]
+    triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
+    triangles = triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
+    return Terrain(points_m[used], triangles)
 
 
 def _summed(key: Ints, sums: Ints) -> CellSums:
@@ -133,30 +142,13 @@ def _outside(mesh: Delaunay, plan: Floats, longest_m: float) -> Bools:
     return long & np.isin(label, label[at_hull])
 
 
-def _ordered(triangles: Ints32, plan: Floats) -> Ints32:
-    """Triangles counter-clockwise from their least vertex, in rising order."""
-    a, b, c = (plan[triangles[:, k]] for k in range(3))
-    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    triangles = np.where(turn[:, None] < 0, triangles[:, ::-1], triangles)
-    start = triangles.argmin(axis=1)
-    rows = np.arange(len(triangles))[:, None]
-    triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
-    return triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
-
-
 # What the terrain hides from a camera, by ray casting (paper 2, section 3.2.4).
 
+# Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
+# triangle.
 _LAST_SHARE = 0.9999
-"""Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
-triangle."""
-
-# How much of the road ahead the terrain hides, estimated from a height model along sight lines.
-#
-# Cheap enough to decide whether the triangulated terrain is worth building: `scene.occlusion`
-# casts exact rays at it.
-
+# Sight lines end this much above the points: they would else meet the ground that these lie on.
 TOLERANCE_M = 0.15
-"""Sight lines end this much above the points: they would else meet the ground that these lie on."""
 
 
 class TerrainSight:
@@ -213,49 +205,16 @@ def visible(
     return sight.visible(camera_m, points_m, tolerance_m)
 
 
-def hidden_share(
-    sight: TerrainSight,
-    cameras_m: ArrayLike,
-    heading_deg: ArrayLike,
-    edges_m: ArrayLike,
-    reach_m: float = 120.0,
-    half_angle_deg: float = 45.0,
-) -> float:
-    """Share of the road edge points ahead of the cameras that the terrain hides.
+# How much of the road ahead the terrain hides, estimated from a height model along sight lines.
+#
+# Cheap enough to decide whether the triangulated terrain is worth building, at which
+# `TerrainSight` casts exact rays.
 
-    Parameters
-    ----------
-    cameras_m : (k, 3) local metres. heading_deg : (k,) clockwise from grid north.
-    edges_m : (n, 3) road edge points. reach_m : farther ones do not count.
-    half_angle_deg : only points within this of the heading count.
-
-    Returns
-    -------
-    share between 0 and 1; 0 where no camera has a road edge ahead.
-    """
-    edges = np.asarray(edges_m, np.float64).reshape(-1, 3)
-    hidden = total = 0
-    for camera, heading in zip(np.asarray(cameras_m), np.asarray(heading_deg), strict=True):
-        east, north = (edges[:, :2] - camera[:2]).T
-        turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
-        gap_m = np.hypot(east, north)
-        ahead = (gap_m <= reach_m) & (gap_m > 0) & (np.abs(turn) <= half_angle_deg)
-        seen = sight.visible(camera, edges[ahead])
-        hidden, total = hidden + int((~seen).sum()), total + len(seen)
-    return hidden / total if total else 0.0
-
-
+# Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown.
 Height = Callable[[Floats, Floats], Floats]
-"""Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown."""
-
-_HALF_ANGLE_DEG = 45.0
-"""Road edges this far to either side of the heading are ahead of a camera."""
-
-_STEP_M = 2.0
-"""Steps along the longest sight line; crests that hide a road are longer."""
-
-_POINTS = 120
-"""Edge points looked at from each camera, about: a share needs no more."""
+_HALF_ANGLE_DEG = 45.0  # Road edges this far to either side of the heading are ahead of a camera.
+_STEP_M = 2.0  # Steps along the longest sight line; crests that hide a road are longer.
+_POINTS = 120  # Edge points looked at from each camera, about: a share needs no more.
 
 
 def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> Bools:

@@ -16,7 +16,7 @@ from roadsight.base.sections.run import Sample
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
 from roadsight.evidence.exact_highway import RCS_M2, TARGET
 from roadsight.evidence.metrics import METRICS
-from roadsight.evidence.results import Results
+from roadsight.evidence.placement_metrics import Results
 from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import write_json
