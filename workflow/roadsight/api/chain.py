@@ -50,11 +50,10 @@ from roadsight.stages.scene.ingest_cloud import ingest_cloud
 from roadsight.stages.scene.profile_scene import profile_scene
 from roadsight.stages.scene.rasterise_lidar import RoadSource, rasterise_lidar
 
-_ROAD_CLASS = "11"
-"""Class "road surface" of LAS 1.4, as a profile names it."""
+_ROAD_CLASS = "11"  # class "road surface" of LAS 1.4, as a profile names it
+# Share of points with that class from which a cloud counts as classified; below it stand stray
+# points, and the pavement is sought by shape.
 _LEAST_ROAD = 1e-4
-"""Share of points with that class from which a cloud counts as classified; below it stand stray
-points, and the pavement is sought by shape."""
 
 
 class Chain:

@@ -23,17 +23,16 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 
 _ALIGNMENT, _CALIBRATION = Alignment(), Calibration()
-
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 Method = Literal["auto", "road", "dense", "published", "none"]
+# Columns that are named otherwise than in the workflow.
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
-"""Columns that are named otherwise than in the workflow."""
+# Columns of the table of cameras, before what its places are counted in.
 _RETURNED = (
     *("image", "x", "y", "z", "heading_grid_deg", "pitch_deg", "roll_deg"),
     *("fx_px", "cx_px", "cy_px", "sigma_heading_deg", "sigma_lateral_m", "residual_px"),
     *("accepted", "reason"),
 )
-"""Columns of the table of cameras, before what its places are counted in."""
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from roadsight.placement.sensors.sensors import Sensor, load_sensor
 from roadsight.placement.sight.sight import Sight, count_beams
 from roadsight.scene.surfels import in_company
 
+# Sensors by name, with the data sheets that they are from.
 CATALOGUE = Path(__file__).parents[3] / "config" / "sensors.yaml"
-"""Sensors by name, with the data sheets that they are from."""
+# Points so far beyond the sensor's range still help to tell the surfaces at its end.
 _MARGIN_M = 10.0
-"""Points so far beyond the sensor's range still help to tell the surfaces at its end."""
 
 
 def depth_map(

@@ -5,10 +5,10 @@ A key that is renamed gets a line here, and so does a word among a setting's val
 
 from __future__ import annotations
 
+# Former settings and what they are called now, by dotted path.
 RENAMED = {"terrain_mesh.occlusion": "effects.terrain_occlusion"}
-"""Former settings and what they are called now, by dotted path."""
+# Former values of settings, by dotted path. ``ours`` was the only method of this project's own.
 RENAMED_VALUES = {"alignment.method": {"ours": "road"}}
-"""Former values of settings, by dotted path. ``ours`` was the only method of this project's own."""
 
 
 def renamed(path: str, value: object = None) -> str:

@@ -12,19 +12,12 @@ from roadsight.base.errors import InputError, nearest
 from roadsight.base.former import renamed
 
 Positive = Annotated[float, Field(gt=0, le=1e6)]
-
 Metres = Annotated[float, Field(gt=0, le=1000)]
-
 Degrees = Annotated[float, Field(ge=-180, le=180)]
-
 Share = Annotated[float, Field(ge=0, le=1)]
-
 Count = Annotated[int, Field(ge=1)]
-
 LasClass = Annotated[int, Field(ge=0, le=255)]
-
-Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
-"""Safe as a folder and as a wildcard."""
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]  # safe as a folder and as a wildcard
 
 
 class Section(BaseModel):
@@ -35,17 +28,11 @@ class Section(BaseModel):
 
 # Validation that ends in one clear message: file, field, value found, value allowed.
 
-_LONGEST_NAME = 255
-"""Bytes of one part of a path (NAME_MAX of Linux)."""
-
-_LONGEST_PATH = 4095
-"""Bytes of a whole path (PATH_MAX of Linux, less the null that ends it)."""
-
+_LONGEST_NAME = 255  # bytes of one part of a path (NAME_MAX of Linux)
+_LONGEST_PATH = 4095  # bytes of a whole path (PATH_MAX of Linux, less the null that ends it)
+# What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes.
 _MISREAD = int | float | date
-"""What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes."""
-
 Model = TypeVar("Model", bound=BaseModel)
-
 Given = TypeVar("Given")
 
 

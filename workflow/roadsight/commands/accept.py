@@ -33,13 +33,11 @@ from roadsight.placement.plans.acceptance import (
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AnySensor, Sensor, load_sensors
 
-_LEAN = "mount_tilt"
-"""Effect by which mounts lean with the road."""
+_LEAN = "mount_tilt"  # effect by which mounts lean with the road
+# Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
+# fell or grew since the survey more.
 _AGREEING = 0.8
-"""Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
-fell or grew since the survey more."""
-_SENSOR_FRAME_M = 1_000.0
-"""Scans in the sensor's own frame lie within this of its origin."""
+_SENSOR_FRAME_M = 1_000.0  # scans in the sensor's own frame lie within this of its origin
 
 
 @dataclass(frozen=True)

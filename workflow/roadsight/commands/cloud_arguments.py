@@ -14,8 +14,7 @@ from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.point_filter import Overlap
 from roadsight.io.vector.layer_names import split_layer
 
-CloudPath = Annotated[Path, "LAS or LAZ file"]
-"""The cloud of a verb."""
+CloudPath = Annotated[Path, "LAS or LAZ file"]  # the cloud of a verb
 
 
 @dataclass(frozen=True)

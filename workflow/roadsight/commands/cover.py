@@ -26,8 +26,7 @@ from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 from roadsight.setcover.plans.second import chosen_again
 from roadsight.setcover.plans.whole import solve_whole, verify
 
-_FIRST = 5
-"""Columns that a message names of those that nothing covers."""
+_FIRST = 5  # columns that a message names of those that nothing covers
 
 
 def run(

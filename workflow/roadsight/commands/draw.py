@@ -14,8 +14,7 @@ from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.checks import MISSED, NONE, POLE, draw, strata
 
-DEGREES = ("latitude", "longitude")
-"""Columns of places in degrees, WGS 84."""
+DEGREES = ("latitude", "longitude")  # columns of places in degrees, WGS 84
 _METRES = ("x", "y")
 
 

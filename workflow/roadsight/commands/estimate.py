@@ -32,14 +32,12 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import write_json
 
 log = logging.getLogger("roadsight")
-
+# A million times this is the largest number that any option takes; what is larger is a slip.
 _MOST_MILES = 1e7
-"""A million times this is the largest number that any option takes; what is larger is a slip."""
-_MILE_M = 1609.344
-"""An international mile."""
+_MILE_M = 1609.344  # an international mile
+# A degree on a sphere of the Earth's mean radius, for clouds in degrees. Along a parallel it is
+# shorter, which an estimate can bear.
 _DEGREE_M = 111_195.0
-"""A degree on a sphere of the Earth's mean radius, for clouds in degrees. Along a parallel it is
-shorter, which an estimate can bear."""
 
 
 Job = Literal["placement", "poles"]

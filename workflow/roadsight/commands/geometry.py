@@ -26,11 +26,10 @@ from roadsight.scene.splines import outline_edges, spline_line
 from roadsight.scene.whole import FoundRoad, heights_of
 from roadsight.stages.poles.shared.hazard_layers import GEOMETRY, geometry_lines, rounded
 
-_EDGE_STEP_M = 0.25
-"""Spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)."""
+_EDGE_STEP_M = 0.25  # spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)
+# Areas nearer to each other than this are one pavement: neighbours that were digitised each by
+# itself lie centimetres apart, a gutter is 0.3 m wide, and no median is so narrow.
 _SLIVER_M = 0.3
-"""Areas nearer to each other than this are one pavement: neighbours that were digitised each by
-itself lie centimetres apart, a gutter is 0.3 m wide, and no median is so narrow."""
 
 
 def run(

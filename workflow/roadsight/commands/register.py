@@ -144,8 +144,8 @@ def _tell(image: str, own: pd.DataFrame, found: Registration) -> None:
 
 # Clicked pairs of a pixel and a place, as a user's CSV table.
 
+# Names of the columns of a place: in the site's CRS, or in degrees.
 _PLACES = (("x", "y"), ("lon", "lat"), ("longitude", "latitude"))
-"""Names of the columns of a place: in the site's CRS, or in degrees."""
 
 
 def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:

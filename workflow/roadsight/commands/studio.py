@@ -12,10 +12,8 @@ from typing import Annotated
 
 from roadsight.commands.verb import Verb
 
-PORT = 8711
-"""Of the studio, unless the user names another."""
-_FOLDER = ".snakemake/roadsight"
-"""The studio's own files, beside Snakemake's, below the project."""
+PORT = 8711  # of the studio, unless the user names another
+_FOLDER = ".snakemake/roadsight"  # the studio's own files, beside Snakemake's, below the project
 
 
 def run(

@@ -19,8 +19,7 @@ from roadsight.config.sites import Site
 from roadsight.effects.catalogue import check_names, load_catalogue
 from roadsight.io.vector.layer_names import split_layer
 
-SITES = Path("config/sites")
-"""Where sites are that are named without a path."""
+SITES = Path("config/sites")  # where sites are that are named without a path
 
 
 @dataclass(frozen=True)

@@ -194,5 +194,4 @@ def _sensor_names(sensors_file: str) -> list[str]:
     return [str(name) for name in sensors]
 
 
-FILES = ("areas", "forbidden", "mandatory", "poles")
-"""Options that name a file."""
+FILES = ("areas", "forbidden", "mandatory", "poles")  # options that name a file

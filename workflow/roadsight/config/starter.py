@@ -26,8 +26,7 @@ from roadsight.placement.candidates.targets import points_needed
 from roadsight.scene.classes import CLASS_NAMES
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
-_DATA_VARIABLE = "ROADSIGHT_DATA"
-"""Environment variable that names the folder of a user's clouds."""
+_DATA_VARIABLE = "ROADSIGHT_DATA"  # environment variable that names the folder of a user's clouds
 _LETTERS = {
     "äöüßøæœþłđðı": "ae oe ue ss oe ae oe th l d d i",
     "абвгдеёжзийклмнопрстуфхцчшщъыьэюяіїєґ": (
@@ -35,6 +34,7 @@ _LETTERS = {
     ),
     "αβγδεζηθικλμνξοπρσςτυφχψω": "a v g d e z i th i k l m n x o p r s s t y f ch ps o",
 }
+# Letters that names of folders do without, as passports write them.
 _WRITTEN_OUT = str.maketrans(
     {
         letter: plain.strip("_")
@@ -42,17 +42,16 @@ _WRITTEN_OUT = str.maketrans(
         for letter, plain in zip(letters, written.split(), strict=True)
     }
 )
-"""Letters that names of folders do without, as passports write them."""
 
 
+# Plans of a first run: two sensors that most roads can be covered with.
 FIRST_PLANS = ("os-64", "os-128")
-"""Plans of a first run: two sensors that most roads can be covered with."""
+# Metres between its candidates, along edges and in height: on an airborne arterial of 1 million
+# points 1,490 candidates instead of 11,488.
 FIRST_SPACING_M = (8.0, 2.0)
-"""Metres between its candidates, along edges and in height: on an airborne arterial of 1 million
-points 1,490 candidates instead of 11,488."""
+# Limit of its covers; what is not proven by then has a bound. The arterial's plans have 26 and 51
+# sensors (at least 24 and 47), as with 20 s.
 FIRST_LIMIT_S = 5.0
-"""Limit of its covers; what is not proven by then has a bound. The arterial's plans
-have 26 and 51 sensors (at least 24 and 47), as with 20 s."""
 
 
 @dataclass(frozen=True)

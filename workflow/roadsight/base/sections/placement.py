@@ -107,11 +107,8 @@ class Cover(Section):
 # Schema of the poses in which sensors are tried at each candidate.
 
 Yaw = Annotated[float, Field(ge=-180, le=180)]
-
 Pitch = Annotated[float, Field(ge=-90, le=90)]
-
 Angles = Annotated[list[Yaw], Field(min_length=1, max_length=72)]
-
 Pitches = Annotated[list[Pitch], Field(min_length=1, max_length=36)]
 
 

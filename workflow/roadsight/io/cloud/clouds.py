@@ -36,22 +36,17 @@ from roadsight.io.cloud.las_header import (
 )
 from roadsight.io.records.atomic import atomic_path
 
-CHUNK_POINTS = 125_000
-"""What is computed of so many points stays in the processor's cache."""
-
+CHUNK_POINTS = 125_000  # what is computed of so many points stays in the processor's cache
+# Points decoded at once: several chunks of a file, which threads decode beside each other. More
+# would take more memory.
 _DECODED_POINTS = 8 * CHUNK_POINTS
-"""Points decoded at once: several chunks of a file, which threads decode beside each other. More
-would take more memory."""
-
+# Step of written coordinates, in the cloud's own unit (a millimetre where that is the metre).
 _LAZ_SCALE = 0.001
-"""Step of written coordinates, in the cloud's own unit (a millimetre where that is the metre)."""
-
+# A fixed date of creation, so that the same points give the same bytes.
 _LAZ_DATE = date(2000, 1, 1)
-"""A fixed date of creation, so that the same points give the same bytes."""
-
-_DEGREES_PER_SCAN_ANGLE = 0.006
-"""Unit of the scan angle in point formats 6 to 10 (LAS 1.4)."""
-
+_DEGREES_PER_SCAN_ANGLE = 0.006  # unit of the scan angle in point formats 6 to 10 (LAS 1.4)
+# Fields that lead to waveforms, which are not carried along: they are places in a .wdp file, or in
+# the cloud's own, that a cloud written anew would not have.
 WAVEFORM = (
     "wavepacket_index",
     "wavepacket_offset",
@@ -61,11 +56,8 @@ WAVEFORM = (
     "y_t",
     "z_t",
 )
-"""Fields that lead to waveforms, which are not carried along: they are places in a .wdp file, or in
-the cloud's own, that a cloud written anew would not have."""
-
 _ALL_LAYERS = DecompressionSelection.all()
-
+# What a `Chunk` holds; time, angles and the producer's own fields stay compressed.
 _CHUNK_LAYERS = (
     DecompressionSelection.base()
     | DecompressionSelection.Z
@@ -75,7 +67,6 @@ _CHUNK_LAYERS = (
     | DecompressionSelection.RGB
     | DecompressionSelection.POINT_SOURCE_ID
 )
-"""What a `Chunk` holds; time, angles and the producer's own fields stay compressed."""
 
 # What laspy logs as an error also arrives as an exception, which becomes one message here.
 logging.getLogger("laspy").setLevel(logging.CRITICAL)
@@ -320,25 +311,17 @@ def _las_values(name: str, values: NDArray) -> NDArray:
 # beside each other. In point formats 6 to 10 a chunk is made of layers, each preceded by its
 # size. The decoder sets that much memory aside, so one damaged size would cost gigabytes.
 
-_Chunks = list[tuple[int, int]]
-"""Points and bytes of each chunk."""
-
+_Chunks = list[tuple[int, int]]  # points and bytes of each chunk
+# Compressors of LAZ that write chunks: points one after the other, and layer by layer.
 _CHUNKED, _LAYERED = 2, 3
-"""Compressors of LAZ that write chunks: points one after the other, and layer by layer."""
-
-_LAZ_ITEMS_AT = 34
-"""Byte of the LAZ record at which the list of a point's items begins."""
-
+_LAZ_ITEMS_AT = 34  # byte of the LAZ record at which the list of a point's items begins
+# Points of a chunk: where one has more, chunks are not decoded beside each other, because their
+# memory would not be bounded.
 _LARGEST_CHUNK = 1_000_000
-"""Points of a chunk: where one has more, chunks are not decoded beside each other, because their
-memory would not be bounded."""
-
 # Layers of each kind of item: point, colour, colour with infrared, waveform; extra bytes have one
 # layer a byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-
-_EXTRA_BYTES = 14
-"""Kind of the item of extra bytes."""
+_EXTRA_BYTES = 14  # kind of the item of extra bytes
 
 
 def check_layers(path: Path, header: laspy.LasHeader) -> None:

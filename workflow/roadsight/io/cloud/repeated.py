@@ -23,13 +23,12 @@ from roadsight.io.cloud.clouds import read_header
 from roadsight.io.cloud.point_filter import key_steps, point_keys
 from roadsight.io.records.sources import sha256
 
+# Points of the sample at most (1 MB of hashes); a cloud of fewer is looked at as a whole.
 _SAMPLE = 1 << 17
-"""Points of the sample at most (1 MB of hashes); a cloud of fewer is looked at as a whole."""
+# Share of a sample that may be repeated by chance: a few points of dense clouds agree to the
+# millimetre and in intensity.
 _CHANCE = 1e-4
-"""Share of a sample that may be repeated by chance: a few points of dense clouds agree to the
-millimetre and in intensity."""
-_AT_ONCE = 1 << 24
-"""Hashes sorted at once (16 million, some 400 MB with their places)."""
+_AT_ONCE = 1 << 24  # hashes sorted at once (16 million, some 400 MB with their places)
 
 
 class RepeatedSample:

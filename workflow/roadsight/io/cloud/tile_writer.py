@@ -26,15 +26,12 @@ from roadsight.io.cloud.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, POSITIO
 from roadsight.io.records.atomic import Incomplete, WholeFile, no_room
 from roadsight.io.records.tables import as_table, schema_of
 
+# More tiles than this come of stray points or of a wrong unit; each costs memory and an entry of
+# the index.
 _MAX_TILES = 40_000
-"""More tiles than this come of stray points or of a wrong unit; each costs memory and an entry of
-the index."""
-
+# Points held in memory. Fewer would send more of them through the file where points wait.
 _HELD_POINTS = 1_000_000
-"""Points held in memory. Fewer would send more of them through the file where points wait."""
-
-_LEAST_POINTS = 1 << 15
-"""Points of a tile that are worth a row group of their own, before the last."""
+_LEAST_POINTS = 1 << 15  # points of a tile that are worth a row group of their own, before the last
 
 
 class TileWriter(WholeFile):
@@ -278,8 +275,8 @@ def tile_columns(chunk: Chunk, frame: Frame, shift: int) -> dict[str, NDArray]:
 
 # The Parquet file of a tiled cloud as it is written, see `roadsight.io.cloud.tiles`.
 
+# Buffer of the file: the system takes few large writes in less time than many small ones.
 _WRITTEN_BYTES = 1 << 20
-"""Buffer of the file: the system takes few large writes in less time than many small ones."""
 
 
 @dataclass
@@ -364,11 +361,9 @@ class TileFile:
 #
 # See `roadsight.io.cloud.tile_writer`.
 
+# Points packed at once, few enough that their records stay in the processor's cache.
 _WRITTEN_POINTS = 1 << 15
-"""Points packed at once, few enough that their records stay in the processor's cache."""
-
-TileKey = tuple[int, int]
-"""Row and column of a tile."""
+TileKey = tuple[int, int]  # row and column of a tile
 
 
 class TileSpill:

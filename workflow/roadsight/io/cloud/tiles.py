@@ -25,21 +25,16 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.tables import as_numpy, open_parquet, read_table
 
 POSITION = ("x", "y", "z")
-
 COLOUR = ("red", "green", "blue")
-
+# NumPy types of the columns; the colours are absent from a cloud without them. ``scan`` is the
+# file's ``point_source_id``: the number of a scan, a strip or a drive.
 COLUMN_TYPES: dict[str, str] = {
     **dict.fromkeys(POSITION, "f4"),
     **dict.fromkeys(("intensity", "scan"), "u2"),
     **dict.fromkeys(("classification", "return_number", "number_of_returns", *COLOUR), "u1"),
 }
-"""NumPy types of the columns; the colours are absent from a cloud without them. ``scan`` is the
-file's ``point_source_id``: the number of a scan, a strip or a drive."""
-
 METADATA_KEY = b"roadsight"
-
 Points = dict[str, NDArray]
-
 Bounds = tuple[float, float, float, float]
 
 

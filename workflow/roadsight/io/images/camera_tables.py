@@ -18,9 +18,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.text_tables import read_cells
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
-
 _LENS = ("focal_px", "cx_px", "cy_px")
-
 _SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
 
 
@@ -109,11 +107,8 @@ def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[
 # Registered cameras by image size: a JSON file that `roadsight register` or a user writes.
 
 Angle = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
-
 Metres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
-
 Sigma = Annotated[float | None, Field(gt=0, le=1e3, allow_inf_nan=False)]
-
 Count = Annotated[int | None, Field(ge=1)]
 
 

@@ -22,17 +22,14 @@ from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image
 from roadsight.io.records.atomic import WholeFile, atomic_path
 
-_ABOUT = "about.json"
-"""Name of the description in the ZIP."""
-
+_ABOUT = "about.json"  # name of the description in the ZIP
+# The earliest date that a ZIP can hold, so that the same images give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
-"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
-
+# Depth maps are 1 % larger than at level 3 and masks smaller, in half the time.
 _PNG = [
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
 ]
-"""Depth maps are 1 % larger than at level 3 and masks smaller, in half the time."""
 
 
 class ImageShardWriter(WholeFile):
@@ -113,8 +110,8 @@ class ImageShard:
 
 # Generated videologs: images in ZIPs of JPEGs, and tables as plain CSV.
 
+# The earliest date that a ZIP can hold, so that the same images give the same bytes.
 _DATE_VIDEOLOG_SHARDS = (1980, 1, 1, 0, 0, 0)
-"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
 
 
 class JpegShardWriter(WholeFile):
@@ -163,8 +160,7 @@ def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[
 
 # Folders of label images or depth images that somebody else made for a videolog.
 
-_NAMED = 5
-"""So many images are named in a message; the number tells of the others."""
+_NAMED = 5  # so many images are named in a message; the number tells of the others
 
 
 def _some(names: Sequence[str]) -> str:

@@ -14,17 +14,16 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.text_tables import read_cells
 from roadsight.poles.alignment.dense import GivenLens
 
-_FOCAL = ("fx_px", "focal_px")
-"""Names that the focal length may have."""
+_FOCAL = ("fx_px", "focal_px")  # names that the focal length may have
 _SIGMAS = ("sigma_fx_px", "sigma_cx_px", "sigma_cy_px")
+# Shares by which fx and fy may differ: at the edge of 375 rows that is half a pixel. Nothing behind
+# the alignment knows pixels that are not square.
 _SQUARE = 0.005
-"""Shares by which fx and fy may differ: at the edge of 375 rows that is half a pixel. Nothing
-behind the alignment knows pixels that are not square."""
+# Share of the image's size by which a principal point may lie off the middle. Real ones do by 5 %;
+# those of an image of half the size by half of it.
 _OFF_CENTRE = 0.25
-"""Share of the image's size by which a principal point may lie off the middle. Real ones do by
-5 %; those of an image of half the size by half of it."""
+# Horizontal fields of view that a camera on a vehicle may have, as for a calibration.
 _HFOV_DEG = (8.0, 130.0)
-"""Horizontal fields of view that a camera on a vehicle may have, as for a calibration."""
 
 
 def read_intrinsics(source: str, images: Iterable[tuple[str, int, int]]) -> dict[str, GivenLens]:

@@ -24,14 +24,10 @@ if TYPE_CHECKING:
     import onnxruntime
 
 
-_FLOAT = "tensor(float)"
-"""Type of a network's input, by ONNX."""
-
+_FLOAT = "tensor(float)"  # type of a network's input, by ONNX
+# Types of an output of labels, by ONNX.
 _LABEL_TYPES = ("tensor(uint8)", "tensor(int32)", "tensor(int64)", "tensor(float)")
-"""Types of an output of labels, by ONNX."""
-
-_CHANNELS = 3
-"""Networks take colour images."""
+_CHANNELS = 3  # networks take colour images
 
 
 @dataclass(frozen=True)
@@ -203,6 +199,7 @@ def _shown(shape: Any) -> str:
 
 # ONNX files opened for the CPU.
 
+# Exceptions of the runtime that a file can cause.
 _ERRORS = (
     "Fail",
     "InvalidArgument",
@@ -212,7 +209,6 @@ _ERRORS = (
     "NotImplemented",
     "RuntimeException",
 )
-"""Exceptions of the runtime that a file can cause."""
 
 
 def open_session(file: Path, threads: int) -> onnxruntime.InferenceSession:
@@ -247,7 +243,6 @@ _FACTS = {
     "step_deg": f"{STEP_DEG:g}",
     "multiple_cells": str(MULTIPLE_CELLS),
 }
-
 _HINT = "see docs/placement/depth-maps.md"
 
 

@@ -20,8 +20,8 @@ from roadsight.io.records.text_tables import read_cells
 from roadsight.poles.drive.order import drive_order, seconds_of
 
 log = logging.getLogger(__name__)
-
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+# Names that a table's columns may have, the usual first.
 _ALIASES = {
     "image": ("image", "image_name", "filename", "file", "name", "photo"),
     "latitude": ("latitude", "lat", "y", "y_m", "northing", "northing_m"),
@@ -40,11 +40,8 @@ _ALIASES = {
     "left_image": ("left_image", "left"),
     "right_image": ("right_image", "right"),
 }
-"""Names that a table's columns may have, the usual first."""
-_MOST_BYTES = 1 << 28
-"""Larger images are refused: a ZIP may unpack to any size."""
-_ONE_ROUTE = "route"
-"""Route of images that name none."""
+_MOST_BYTES = 1 << 28  # larger images are refused: a ZIP may unpack to any size
+_ONE_ROUTE = "route"  # route of images that name none
 
 
 class ImageSource:

@@ -18,12 +18,11 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_raster
 
+# Tag that says whether a raster holds heights, which have an origin, or other values.
 _CONTENT = "CONTENT"
-"""Tag that says whether a raster holds heights, which have an origin, or other values."""
 _HEIGHT = "height"
 _VALUE = "value"
-_MEASURED = "measured"
-"""Description of the second band, where there is one."""
+_MEASURED = "measured"  # description of the second band, where there is one
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,12 @@ from typing import Any, Self
 
 from roadsight.base.errors import InputError
 
+# Part of a temporary's name, because the processes of other hosts cannot be looked up here.
 _HOST = socket.gethostname().partition(".")[0]
-"""Part of a temporary's name, because the processes of other hosts cannot be looked up here."""
+# Written after a failure to learn whether the disk is full, because libraries say everything but
+# that. Less might still fit where a library's block did not.
 _PROBE_BYTES = 1 << 20
-"""Written after a failure to learn whether the disk is full, because libraries say everything but
-that. Less might still fit where a library's block did not."""
-
-written: set[Path] = set()
-"""Files that this process wrote, by absolute path."""
+written: set[Path] = set()  # files that this process wrote, by absolute path
 
 
 @contextmanager

@@ -28,22 +28,14 @@ from roadsight.io.records.atomic import WholeFile, atomic_path
 from roadsight.io.records.tables import open_parquet
 from roadsight.placement.sensors.rays import NOT_CAST_M
 
-_KEY = b"roadsight"
-"""Of the file's metadata."""
-
-_VERSION = 2
-"""Of the layout; files of another are refused."""
-
-_LEVEL = 3
-"""Of Zstandard: its own default."""
-
+_KEY = b"roadsight"  # of the file's metadata
+_VERSION = 2  # of the layout; files of another are refused
+_LEVEL = 3  # of Zstandard: its own default
+# Maps of a row group, which is read as a whole: few, so that one map costs little memory.
 _MAPS_IN_GROUP = 8
-"""Maps of a row group, which is read as a whole: few, so that one map costs little memory."""
-
+# Steps up to the sensor's range: a little less than the 65,535 that 16 bits hold, so that ranges
+# just beyond it fit.
 _MAX_STEPS = 65_000
-"""Steps up to the sensor's range: a little less than the 65,535 that 16 bits hold, so that ranges
-just beyond it fit."""
-
 _SCHEMA = pa.schema([("candidate", pa.string()), ("steps", pa.binary())])
 
 
@@ -260,9 +252,8 @@ def _decode(steps: NDArray[np.uint16], step_m: float) -> Floats32:
 #
 # Maps are stored as whole steps of range, 0 for no return, one NPZ file per scene.
 
+# Range of one step: 16 bits reach 262 m, farther than any sensor of the paper's Table 1.
 STEP_M = 0.004
-"""Range of one step: 16 bits reach 262 m, farther than any sensor of the paper's Table 1."""
-
 _PARTS = ("preliminary", "refined")
 
 

@@ -21,8 +21,8 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 from roadsight.io.records.sources import sha256
 
+# Versions of the libraries: other ones may give other last digits.
 _LOCK = Path("envs/requirements.lock")
-"""Versions of the libraries: other ones may give other last digits."""
 
 
 def key_of(*parts: Any) -> str:

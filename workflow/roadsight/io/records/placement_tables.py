@@ -19,7 +19,6 @@ from roadsight.placement.sight.lanes import Traffic, rasterise_lanes
 from roadsight.placement.sight.passing import CAR, TRUCK
 
 _COLUMNS = ["candidate", "target", "hits"]
-
 _AVAILABILITY = "availability"
 
 
@@ -138,11 +137,9 @@ def read_traffic(path: str | os.PathLike[str]) -> SiteTraffic:
 # Where candidate sensors stand and face.
 
 _POSE = ["x", "y", "z", "yaw_deg"]
-
 _NORMAL = ["normal_x", "normal_y", "normal_z"]
-
+# Column of denser candidates: names of the sensors whose gaps they are for, blanks between.
 FOR_SENSORS = "for_sensors"
-"""Column of denser candidates: names of the sensors whose gaps they are for, blanks between."""
 
 
 def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[str, Floats]:

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "roadsight"
-
 _UNKNOWN = "unknown"
-
 _HOUR_S = 3600
 
 
@@ -187,14 +185,9 @@ def _number(text: str | None) -> float:
 
 # What a process has used of the machine: processor time and memory.
 
-_STATUS = Path("/proc/self/status")
-"""Where Linux tells the peak of memory."""
-
-_LINE = "used {cpu_s:.2f} CPU s, at most {peak_mib:.0f} MiB"
-"""Last line of a step's log."""
-
-_PATTERN = re.compile(r"used (\d+\.\d+) CPU s, at most (\d+) MiB")
-"""The same, to be found again."""
+_STATUS = Path("/proc/self/status")  # where Linux tells the peak of memory
+_LINE = "used {cpu_s:.2f} CPU s, at most {peak_mib:.0f} MiB"  # last line of a step's log
+_PATTERN = re.compile(r"used (\d+\.\d+) CPU s, at most (\d+) MiB")  # the same, to be found again
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,10 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
-
 _PACKAGES = ("roadsight", "roadsight_worlds", "roadsight_hardcases", "roadsight_training")
+# Settings are declared there; their values reach a stage as its rule's params or are defaults, so
+# that a sentence about one makes no result stale.
 _DECLARED = "roadsight.base.sections"
-"""Settings are declared there; their values reach a stage as its rule's params or are defaults, so
-that a sentence about one makes no result stale."""
-
 _CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")
 
 

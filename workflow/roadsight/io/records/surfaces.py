@@ -16,7 +16,6 @@ from roadsight.scene.surfels import Surfels
 from roadsight.scene.terrain.tin import Terrain
 
 _CENTRE = ["x", "y", "z"]
-
 _NORMAL = ["nx", "ny", "nz"]
 
 

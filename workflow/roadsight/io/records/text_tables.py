@@ -18,12 +18,11 @@ import pandas as pd
 from roadsight.base.errors import InputError
 
 _SEPARATORS = ",;\t"
+# First bytes that tell an encoding.
 _MARKS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
-"""First bytes that tell an encoding."""
 _NUMBER = re.compile(r"\s*[-+]?(\d{1,3}(\.\d{3})+|\d+)?(,\d+)?([eE][-+]?\d+)?\s*")
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[\d.]*,\d+([eE][-+]?\d+)?\s*")
-_LONGEST_CELL = 1 << 20
-"""Letters of a cell; more are a quotation mark that nothing closes."""
+_LONGEST_CELL = 1 << 20  # letters of a cell; more are a quotation mark that nothing closes
 
 
 def read_cells(path: str | os.PathLike[str]) -> pd.DataFrame:

@@ -20,7 +20,6 @@ from roadsight.io.vector.vector_sources import EXCHANGED, is_near, load_local
 from roadsight.io.vector.vectors import read_lines
 
 _AXES = (("latitude", "longitude"), ("lat", "lon"), ("x", "y"))
-
 _NAMES = ("id", "name")
 
 
@@ -181,9 +180,7 @@ def read_track(
 # Existing poles of a user that may carry sensors, and zones that may not.
 
 _HEIGHT = "height_m"
-
-_HIGHEST_M = 100.0
-"""A mount that is said to be higher is taken for a mistake of unit or column."""
+_HIGHEST_M = 100.0  # a mount that is said to be higher is taken for a mistake of unit or column
 
 
 def read_mounts(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:

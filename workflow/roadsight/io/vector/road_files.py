@@ -26,8 +26,8 @@ from roadsight.poles.risk.inventory import COLUMNS
 from roadsight.poles.risk.routes import UNITS_M, Route
 
 _SPEEDS_KMH = {"speed_kmh": 1.0, "speed_mph": 1.609344}
+# Columns that may name a route, the first that is there.
 _ROUTE = ("route", "route_id", "routeid", "road", "name", "id", "edge")
-"""Columns that may name a route, the first that is there."""
 
 
 def read_inventory(

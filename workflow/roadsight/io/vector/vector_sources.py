@@ -23,33 +23,21 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.text_tables import read_cells
 from roadsight.io.vector.layer_names import split_layer
 
-_GEOJSON = (".geojson", ".json")
-"""Formats whose CRS is WGS 84 unless the file names another."""
-
-_TABLE = (".csv",)
-"""Formats that are read as tables of vertices."""
-
+_GEOJSON = (".geojson", ".json")  # formats whose CRS is WGS 84 unless the file names another
+_TABLE = (".csv",)  # formats that are read as tables of vertices
+# Formats whose files name their CRS where they have one.
 _OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml", ".gpx")
-"""Formats whose files name their CRS where they have one."""
-
-_NATIVE = ("local", "native")
-"""Words for the cloud's own coordinates."""
-
+_NATIVE = ("local", "native")  # words for the cloud's own coordinates
+# Heights that stand for no data in common formats.
 _NO_DATA = (-9999.0, -99999.0, -32768.0, -32767.0)
-"""Heights that stand for no data in common formats."""
-
+# Heights beyond are the least or greatest numbers of a type, which stand for no data too.
 _NO_HEIGHT_M = 1e30
-"""Heights beyond are the least or greatest numbers of a type, which stand for no data too."""
-
 _WGS84 = CRS.from_epsg(4326)
-
+# What lies within this distance of a site's origin may belong to it: sites are tens of kilometres
+# at most, and exchanged axes lead further away.
 _SITE_REACH_M = 100_000.0
-"""What lies within this distance of a site's origin may belong to it: sites are tens of kilometres
-at most, and exchanged axes lead further away."""
-
+# What is offered as the reason where it fits.
 EXCHANGED = "with axes exchanged they would lie there: write x before y, or check lat, lon"
-"""What is offered as the reason where it fits."""
-
 Mapping = Callable[[Floats], Floats]
 
 

@@ -24,19 +24,14 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_geojson, check_geopackage
 from roadsight.io.vector.vector_sources import load_local, map_coordinates, read_features
 
-KINDS = ("edge", "median", "line")
-"""Kinds of lines along which sensors may stand."""
-
+KINDS = ("edge", "median", "line")  # kinds of lines along which sensors may stand
 LINES = ("LineString", "MultiLineString")
-AREAS = ("Polygon", "MultiPolygon")
-"""Types of geometry that are lines, and areas."""
-
+AREAS = ("Polygon", "MultiPolygon")  # types of geometry that are lines, and areas
+# Columns that may hold a feature's name, the first that is there.
 _NAME_COLUMNS = ("edge", "name", "id")
-"""Columns that may hold a feature's name, the first that is there."""
+# Time of change in a GeoPackage, so that the same features give the same bytes.
 FIXED_DATE = "2000-01-01T00:00:00.000Z"
-"""Time of change in a GeoPackage, so that the same features give the same bytes."""
-_GEOJSON_DECIMALS = "9"
-"""Of degrees: a tenth of a millimetre."""
+_GEOJSON_DECIMALS = "9"  # of degrees: a tenth of a millimetre
 
 
 def write_layers(
