@@ -48,7 +48,7 @@ def run(
     if out.suffix.lower() != ".json":
         raise InputError("is no name for it", where=f"--out {out}", allowed=".json")
     _check_counts(pairs_path)
-    from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
+    from roadsight.api.alignment import Chain  # noqa: PLC0415  # slow to load
     from roadsight.stages.command import told_clearly  # noqa: PLC0415  # of the same
 
     with told_clearly("register"), tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
