@@ -23,7 +23,7 @@ from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Roads, road_along
 from roadsight.poles.risk.roadside import Surroundings, geometry_table
 from roadsight.scene.splines import outline_edges, spline_line
-from roadsight.scene.whole import FoundRoad, heights_of
+from roadsight.scene.whole import heights_of
 from roadsight.stages.poles.shared.hazard_layers import GEOMETRY, geometry_lines, rounded
 
 _EDGE_STEP_M = 0.25  # spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)
@@ -61,7 +61,10 @@ def run(
     labelled = ground(cloud)
     if paved.is_empty:
         road = search.road(cloud, labelled)
-        known, paved = known or _traced(road), road.outline
+        paved = road.outline
+        if not known:
+            traced = outline_edges(road.outline, road.surface_m, Edges(offset_m=0.0))
+            known = [spline_line(line) for _, line in traced]
     points = shapely.get_coordinates(shapely.segmentize(known, _EDGE_STEP_M))
     shapely.prepare(paved)
     roads = [
@@ -95,20 +98,8 @@ def run(
         print(f"{name}: {len(own)} stations, paved width known at {share:.0%}: {out}")
 
 
-def _traced(road: FoundRoad) -> list[shapely.Geometry]:
-    """Edges of the pavement that the cloud shows."""
-    found = outline_edges(road.outline, road.surface_m, Edges(offset_m=0.0))
-    return [spline_line(line) for _, line in found]
-
-
 def _known(path: Path, frame: Frame) -> tuple[list[shapely.Geometry], shapely.Geometry]:
-    """Edges of a user, lines or outlines of areas, and these areas as one, empty without any.
-
-    Raises
-    ------
-    InputError : as `load_local`, or a feature is neither line nor area, or crosses itself, or some
-        are lines and others areas.
-    """
+    """Edges of a user, lines or outlines of areas, and these areas as one, empty without any."""
     shapes = shapely.force_2d(load_local(path, frame).geometry.to_numpy())
     for number, shape in enumerate(shapes, start=1):
         check_shape(shape, (*LINES, *AREAS), f"{path}, feature {number}")
