@@ -9,9 +9,8 @@ from typing import Annotated
 
 from roadsight.api.clouds import Cloud, read_cloud
 from roadsight.base.errors import InputError
-from roadsight.base.sections.scene import Scene
+from roadsight.base.sections.scene import Overlap, Scene
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.cloud.point_filter import Overlap
 from roadsight.io.vector.layer_names import split_layer
 
 CloudPath = Annotated[Path, "LAS or LAZ file"]  # the cloud of a verb

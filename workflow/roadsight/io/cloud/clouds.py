@@ -217,7 +217,13 @@ def _open(
             os.fspath(path), laz_backend=laspy.LazBackend.Lazrs, decompression_selection=layers
         ) as reader:
             reader.header.point_count = counted(Path(path))[0]
-            check_layers(Path(path), reader.header)
+            layered = _compressor(reader.header) == _LAYERED
+            if layered and _layered_chunks(Path(path), reader.header) is None:
+                raise InputError(
+                    "is damaged: a compressed layer reaches beyond its end",
+                    where=str(path),
+                    hint="copy or download it again",
+                )
             yield reader
     except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
@@ -263,7 +269,12 @@ def _new_header(
     header.system_identifier = header.generating_software = "roadsight"
     header.scales, header.offsets = np.full(3, _LAZ_SCALE), offset
     if frame.crs_wkt is not None:
-        header.vlrs.append(WktCoordinateSystemVlr(_las_wkt(CRS.from_wkt(frame.crs_wkt))))
+        crs = CRS.from_wkt(frame.crs_wkt)
+        try:  # WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it
+            text = crs.to_wkt("WKT1_GDAL")
+        except CRSError:
+            text = crs.to_wkt()
+        header.vlrs.append(WktCoordinateSystemVlr(text))
     carry(header, carried)
     header.global_encoding.wkt = True
     known = set(header.point_format.dimension_names)
@@ -283,14 +294,6 @@ def _new_header(
             )
         )
     return header
-
-
-def _las_wkt(crs: CRS) -> str:
-    """WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it."""
-    try:
-        return crs.to_wkt("WKT1_GDAL")
-    except CRSError:
-        return crs.to_wkt()
 
 
 def _las_name(name: str) -> str:
@@ -324,21 +327,6 @@ _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _EXTRA_BYTES = 14  # kind of the item of extra bytes
 
 
-def check_layers(path: Path, header: laspy.LasHeader) -> None:
-    """Check that the layers of every chunk lie inside the file.
-
-    Raises
-    ------
-    InputError : they do not.
-    """
-    if _compressor(header) == _LAYERED and _layered_chunks(path, header) is None:
-        raise InputError(
-            "is damaged: a compressed layer reaches beyond its end",
-            where=str(path),
-            hint="copy or download it again",
-        )
-
-
 def are_apart(path: Path, header: laspy.LasHeader) -> bool:
     """Whether threads can decode the chunks beside each other, with bounded memory.
 
@@ -347,7 +335,15 @@ def are_apart(path: Path, header: laspy.LasHeader) -> bool:
     """
     if _compressor(header) not in (_CHUNKED, _LAYERED):
         return False
-    table = _table(path, header)
+    record = lazrs.LazVlr(_laz_record(header))
+    try:
+        with path.open("rb") as stream:
+            stream.seek(header.offset_to_point_data)
+            table: _Chunks = lazrs.read_chunk_table(stream, record)
+    except (lazrs.LazrsError, OSError):
+        return False
+    if table and not record.uses_variable_size_chunks():  # it has the last as full as the others
+        table[-1] = (header.point_count - (len(table) - 1) * record.chunk_size(), table[-1][1])
     small = all(0 < points <= _LARGEST_CHUNK and size > 0 for points, size in table)
     if len(table) < 2 or not small:
         return False
@@ -366,20 +362,6 @@ def _compressor(header: laspy.LasHeader) -> int:
 
 def _laz_record(header: laspy.LasHeader) -> bytes:
     return bytes(header.vlrs.get("LasZipVlr")[0].record_data)
-
-
-def _table(path: Path, header: laspy.LasHeader) -> _Chunks:
-    """What the file's table says of its chunks; none where it cannot be read."""
-    record = lazrs.LazVlr(_laz_record(header))
-    try:
-        with path.open("rb") as stream:
-            stream.seek(header.offset_to_point_data)
-            table: _Chunks = lazrs.read_chunk_table(stream, record)
-    except (lazrs.LazrsError, OSError):
-        return []
-    if table and not record.uses_variable_size_chunks():  # it has the last as full as the others
-        table[-1] = (header.point_count - (len(table) - 1) * record.chunk_size(), table[-1][1])
-    return table
 
 
 def _layered_chunks(path: Path, header: laspy.LasHeader) -> _Chunks | None:

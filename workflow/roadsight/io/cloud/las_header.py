@@ -45,9 +45,6 @@ _COMPRESSED = 0x80  # bit of the point format by which LAZ marks compressed poin
 _TABLE_OFFSET_AT_END = -1
 
 
-# What the writer of a cloud knew beside its points, carried into the clouds that verbs write.
-
-
 @dataclass(frozen=True)
 class ExtraField:
     """Description of an extra dimension: scales and offsets (k,) and the type of what is stored.
@@ -335,12 +332,20 @@ def carried_of(header: laspy.LasHeader) -> Carried:
     """What is carried of a header."""
     system = header.system_identifier
     text = system.decode("ascii", "replace") if isinstance(system, bytes) else str(system)
-    records = [
-        (record.user_id, record.record_id, record.description, record.record_data_bytes())
-        for record in [*header.vlrs, *(header.evlrs or [])]
-        if _is_kept(record.user_id, record.record_id)
-    ]
-    extra = {dim.name: _extra_field(dim) for dim in header.point_format.extra_dimensions}
+    records = []
+    for record in [*header.vlrs, *(header.evlrs or [])]:
+        user, number = record.user_id.rstrip("\0"), record.record_id
+        waves = _WAVE_FIRST <= number <= _WAVE_LAST or number == _WAVE_DATA
+        described = user == _SPEC and (waves or number in (_EXTRA_BYTES, _SUPERSEDED))
+        if user not in _OWN and not described:
+            content = record.record_data_bytes()
+            records.append((record.user_id, number, record.description, content))
+    extra = {}
+    for dim in header.point_format.extra_dimensions:
+        extra[dim.name] = ExtraField(dim.description)
+        if dim.scales is not None:
+            stored = dim.dtype.base if dim.dtype is not None else None
+            extra[dim.name] = ExtraField(dim.description, stored, dim.scales, dim.offsets)
     return Carried(
         int(header.global_encoding.gps_time_type),
         int(header.file_source_id),
@@ -350,20 +355,6 @@ def carried_of(header: laspy.LasHeader) -> Carried:
     )
 
 
-def _extra_field(dim: laspy.DimensionInfo) -> ExtraField:
-    if dim.scales is None:
-        return ExtraField(dim.description)
-    stored = dim.dtype.base if dim.dtype is not None else None
-    return ExtraField(dim.description, stored, dim.scales, dim.offsets)
-
-
-def _is_kept(user: str, number: int) -> bool:
-    if user.rstrip("\0") in _OWN:
-        return False
-    waves = _WAVE_FIRST <= number <= _WAVE_LAST or number == _WAVE_DATA
-    return user.rstrip("\0") != _SPEC or not (waves or number in (_EXTRA_BYTES, _SUPERSEDED))
-
-
 def carry(header: laspy.LasHeader, carried: Carried) -> None:
     """Put what is carried into a new header."""
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType(carried.time_type)
@@ -371,17 +362,13 @@ def carry(header: laspy.LasHeader, carried: Carried) -> None:
     if carried.system_identifier:
         header.system_identifier = carried.system_identifier
     for user, number, description, content in carried.records:
-        record = laspy.VLR(user, number, _text(description), content)
+        plain = description
+        if isinstance(description, bytes):
+            plain = description.decode("ascii", "replace")
+        record = laspy.VLR(user, number, plain.rstrip("\0"), content)
         if len(content) > _LONGEST_RECORD:
             if header.evlrs is None:
                 header.evlrs = laspy.vlrs.vlrlist.VLRList()
             header.evlrs.append(record)
         else:
             header.vlrs.append(record)
-
-
-def _text(description: str | bytes) -> str:
-    plain = (
-        description.decode("ascii", "replace") if isinstance(description, bytes) else description
-    )
-    return plain.rstrip("\0")

@@ -101,29 +101,23 @@ def first_ones(clouds: Sequence[Path], folder: Path, overlap: str) -> list[Bools
         for cloud in clouds:
             count = 0
             for chunk, *_ in kept_chunks(cloud, overlap=overlap, times=True):
-                keys = point_keys(
-                    chunk.xyz, steps, chunk.time, chunk.return_number, chunk.intensity
-                )
-                stream.write(keys.data)
+                parts_of = chunk.time, chunk.return_number, chunk.intensity
+                stream.write(point_keys(chunk.xyz, steps, *parts_of).data)
                 count += len(chunk)
             counts.append(count)
         stream.flush()
         first = np.zeros(sum(counts), bool)
-        if len(first):
-            _mark_first(np.memmap(stream, np.uint64, "r"), first)
+        keys = np.memmap(stream, np.uint64, "r") if len(first) else np.empty(0, np.uint64)
+        parts = -(-len(keys) // _AT_ONCE)
+        for part in range(parts):
+            places = [
+                np.flatnonzero(keys[start : start + _AT_ONCE] % np.uint64(parts) == part) + start
+                for start in range(0, len(keys), _AT_ONCE)
+            ]
+            place = np.concatenate(places)
+            _, at = np.unique(keys[place], return_index=True)
+            first[place[at]] = True
     return np.split(first, np.cumsum(counts)[:-1])
-
-
-def _mark_first(keys: NDArray[np.uint64], first: Bools) -> None:
-    parts = -(-len(keys) // _AT_ONCE)
-    for part in range(parts):
-        places = [
-            np.flatnonzero(keys[start : start + _AT_ONCE] % np.uint64(parts) == part) + start
-            for start in range(0, len(keys), _AT_ONCE)
-        ]
-        place = np.concatenate(places)
-        _, at = np.unique(keys[place], return_index=True)
-        first[place[at]] = True
 
 
 def check_copies(clouds: Sequence[Path]) -> None:
