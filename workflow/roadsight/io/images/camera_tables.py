@@ -38,7 +38,7 @@ def read_cameras(
     ------
     InputError : a table cannot be read, lacks a column or holds what is no number.
     """
-    table = _read(path)
+    table = read_cells(path)
     native = [
         _column(table, rf"{name}_(?!above|px)\w+", path)
         for name in ("easting", "northing", "height")
@@ -50,7 +50,9 @@ def read_cameras(
     found[["x", "y", "z"]] = frame.to_local(numbers[native].to_numpy(np.float64))
     for name, own in _ANGLES.items():
         found[own] = numbers[name]
-    lens = table if intrinsics is None else _read(intrinsics).rename(columns={"fx_px": "focal_px"})
+    lens = table
+    if intrinsics is not None:
+        lens = read_cells(intrinsics).rename(columns={"fx_px": "focal_px"})
     for name in _present(lens, _LENS, intrinsics or path):
         values = pd.to_numeric(lens[name], errors="coerce")
         found[name] = values if intrinsics is None else float(values.iloc[0])
@@ -68,7 +70,7 @@ def posed_images(path: str | os.PathLike[str]) -> set[str]:
     ------
     InputError : it cannot be read or names no images.
     """
-    table = _read(path)
+    table = read_cells(path)
     return set(table[_present(table, ("image",), path)[0]].astype(str))
 
 
@@ -79,13 +81,9 @@ def corrections_of(path: str | os.PathLike[str], images: Collection[str]) -> lis
     ------
     InputError : it cannot be read or names no images.
     """
-    table = _read(path)
+    table = read_cells(path)
     names = table[_present(table, ("image",), path)[0]].astype(str)
     return [",".join(map(str, row)) for row in table[names.isin(images)].to_numpy().tolist()]
-
-
-def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
-    return read_cells(path)
 
 
 def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:

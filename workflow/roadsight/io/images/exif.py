@@ -287,17 +287,14 @@ def _directory(tiff: bytes, order: str, start: int) -> dict[int, list[float]]:
         if not 0 < size <= len(tiff):
             continue
         place = at + 8 if size <= 4 else struct.unpack_from(order + "I", tiff, at + 8)[0]
-        entries[tag] = _values(tiff[place : place + size], order, kind)
+        content = tiff[place : place + size]
+        if kind in (5, 10):
+            pairs = struct.iter_unpack(order + ("II" if kind == 5 else "ii"), content)
+            entries[tag] = [top / bottom if bottom else float("nan") for top, bottom in pairs]
+        else:
+            letter = {1: "B", 2: "B", 3: "H", 4: "I", 6: "b", 7: "B", 8: "h", 9: "i"}[kind]
+            entries[tag] = [value for (value,) in struct.iter_unpack(order + letter, content)]
     return entries
-
-
-def _values(content: bytes, order: str, kind: int) -> list[float]:
-    if kind in (5, 10):
-        letter = "I" if kind == 5 else "i"
-        pairs = struct.iter_unpack(order + 2 * letter, content)
-        return [top / bottom if bottom else float("nan") for top, bottom in pairs]
-    letter = {1: "B", 2: "B", 3: "H", 4: "I", 6: "b", 7: "B", 8: "h", 9: "i"}[kind]
-    return [value for (value,) in struct.iter_unpack(order + letter, content)]
 
 
 def _degrees(parts: list[float], reference: list[float], negative: str) -> float | None:

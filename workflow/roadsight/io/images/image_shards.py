@@ -108,12 +108,6 @@ class ImageShard:
         )
 
 
-# Generated videologs: images in ZIPs of JPEGs, and tables as plain CSV.
-
-# The earliest date that a ZIP can hold, so that the same images give the same bytes.
-_DATE_VIDEOLOG_SHARDS = (1980, 1, 1, 0, 0, 0)
-
-
 class JpegShardWriter(WholeFile):
     """Writes JPEGs one by one into a ZIP, which appears under its name when all is well.
 
@@ -140,11 +134,11 @@ class JpegShardWriter(WholeFile):
         done, encoded = cv2.imencode(".jpg", image, self._options)
         if not done:
             raise InputError("cannot be written as JPEG", where=name, found=image.dtype)
-        self._zip.writestr(zipfile.ZipInfo(name, _DATE_VIDEOLOG_SHARDS), encoded.tobytes())
+        self._zip.writestr(zipfile.ZipInfo(name, _DATE), encoded.tobytes())
 
 
 def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int]) -> None:
-    """Write a table as CSV.
+    """Write a table of a generated videolog as CSV.
 
     Parameters
     ----------
@@ -158,13 +152,7 @@ def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[
         texts.to_csv(temporary, index=False, lineterminator="\n")
 
 
-# Folders of label images or depth images that somebody else made for a videolog.
-
 _NAMED = 5  # so many images are named in a message; the number tells of the others
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
 
 
 @dataclass(frozen=True)
@@ -181,7 +169,9 @@ class Matching:
 
 
 class LabelImages:
-    """PNGs named as the images they belong to, in the same folders or all in one.
+    """Label or depth images that somebody else made for a videolog.
+
+    PNGs named as the images they belong to, in the same folders or all in one.
 
     Raises
     ------
@@ -214,8 +204,8 @@ class LabelImages:
         total, hint = len(image_paths), ""
         if without:
             example = PurePosixPath(without[0]).with_suffix(".png")
-            all_lack = len(without) == total
-            hint = f"such as {example}" if all_lack else f"left out: {_some(without)}"
+            some = ", ".join(without[:_NAMED]) + (", ..." if len(without) > _NAMED else "")
+            hint = f"such as {example}" if len(without) == total else f"left out: {some}"
         met, where = f"images have {what}", str(self.folder)
         return Matching(tell_matches(log, met, total - len(without), total, where, hint), without)
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, with_heights
 from roadsight.geometry.frames import Frame
@@ -34,32 +34,12 @@ class Raster:
     values : float32, shape (rows, columns), rows from north to south; NaN where nothing is known.
     west_m, north_m : outer corner of cell (0, 0).
     cell_size_m : edge of a cell.
-    measured : shape (rows, columns), False where a value was filled from around; None where the
-        raster does not tell.
     """
 
     values: Floats32
     west_m: float
     north_m: float
     cell_size_m: float
-    measured: Bools | None = None
-
-    def is_measured(self, x_m: ArrayLike, y_m: ArrayLike) -> Bools:
-        """Whether the cells at places hold measured values; False for filled and unknown ones.
-
-        In a raster that does not tell, all known values count as measured.
-
-        Parameters
-        ----------
-        x_m, y_m : shape (n,).
-        """
-        column = np.floor((np.asarray(x_m, np.float64) - self.west_m) / self.cell_size_m)
-        row = np.floor((self.north_m - np.asarray(y_m, np.float64)) / self.cell_size_m)
-        rows, columns = self.values.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        at = np.where(inside, row, 0).astype(int), np.where(inside, column, 0).astype(int)
-        told = np.isfinite(self.values) if self.measured is None else self.measured
-        return np.asarray(inside & told[at])
 
     def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Values at places, bilinear between cell centres.
@@ -166,8 +146,6 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
             pixels = raster.read(1).astype(np.float64)
             transform, nodata = raster.transform, raster.nodata
             content = raster.tags().get(_CONTENT)
-            bands = raster.descriptions
-            measured = raster.read(2) == 1 if _MEASURED in bands[1:2] else None
     except (RasterioError, OSError, ValueError) as error:
         raise InputError(f"cannot be read as a raster ({error})", where=str(path)) from error
     if content not in (_HEIGHT, _VALUE):
@@ -180,7 +158,7 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
     # Corners and cells come back to the digit, so that grids of one site still coincide.
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
-    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m, measured)
+    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m)
 
 
 def crs_wkt(frame: Frame, is_height: bool) -> str | None:
