@@ -28,13 +28,11 @@ def _known(text: str) -> str:
     return text
 
 
-def _known_of_cloud(text: str) -> str:
-    return text if text in ("auto", "local") else _known(text)
-
-
 CrsText = Annotated[str, AfterValidator(_known)]  # EPSG code, WKT, or whatever else PROJ reads
 # The same; or auto, the file's own, or local.
-CloudCrs = Annotated[str, AfterValidator(_known_of_cloud)]
+CloudCrs = Annotated[
+    str, AfterValidator(lambda text: text if text in ("auto", "local") else _known(text))
+]
 
 
 class Extent(Section):
