@@ -29,10 +29,9 @@ VALUES[5, 6] = np.inf
 
 
 @pytest.mark.parametrize("frame", FRAMES, ids=["utm", "feet", "mixed", "local"])
-@pytest.mark.parametrize("is_height", [True, False])
-def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
+def test_raster_reads_back_where_it_was(tmp_path, frame):
     path = tmp_path / "dem.tif"
-    write_raster(path, VALUES, frame, -3.0, 25.5, 0.5, is_height=is_height)
+    write_raster(path, VALUES, frame, -3.0, 25.5, 0.5)
     back = read_raster(path, frame)
     assert (back.west_m, back.north_m, back.cell_size_m) == (-3.0, 25.5, 0.5)
     expected = np.where(np.isfinite(VALUES), VALUES, np.nan)
@@ -43,7 +42,7 @@ def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
         np.testing.assert_allclose(raster.xy(0, 0), frame.to_native([-2.75, 25.25]), rtol=1e-12)
         assert (raster.crs is None) == (frame.crs_wkt is None)
     assert pixels[3, 4] == pixels[5, 6] == -9999
-    native = frame.to_native([0, 0, float(VALUES[0, 0])])[2] if is_height else VALUES[0, 0]
+    native = frame.to_native([0, 0, float(VALUES[0, 0])])[2]
     assert pixels[0, 0] == pytest.approx(native, abs=1e-3)
 
 
@@ -53,12 +52,10 @@ def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
 )
 def test_heights_carry_the_vertical_crs(tmp_path, code, unit_m, unit):
     frame = Frame(FRAMES[1].origin, unit_m, unit_m, wkt_of(code))
-    for is_height in (True, False):
-        write_raster(tmp_path / "a.tif", VALUES, frame, 0, 0, 1, is_height=is_height)
-        with rasterio.open(tmp_path / "a.tif") as raster:
-            crs = CRS.from_wkt(raster.crs.to_wkt())
-            assert crs.equals(CRS.from_user_input(code if is_height else code.split("+")[0]))
-            assert raster.units == ((unit,) if is_height else (None,))
+    write_raster(tmp_path / "a.tif", VALUES, frame, 0, 0, 1)
+    with rasterio.open(tmp_path / "a.tif") as raster:
+        assert CRS.from_wkt(raster.crs.to_wkt()).equals(CRS.from_user_input(code))
+        assert raster.units == (unit,)
 
 
 def test_same_values_same_bytes_at_another_time(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,7 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import Verb, check_positive
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.changes import STATUSES, ChangeSettings, changes
 
@@ -34,10 +33,7 @@ def run(
     ------
     InputError : a table or a value is not usable, or one has degrees and the other none.
     """
-    for name, value in vars(settings).items():
-        if not (math.isfinite(value) and value > 0):
-            flag = f"--{name.replace('_', '-')}"
-            raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
+    check_positive(vars(settings))
     old, new = (_read(path) for path in (old_path, new_path))
     degrees = ["latitude" in table for table in (old, new)]
     if degrees[0] != degrees[1]:

@@ -12,9 +12,8 @@ import shapely
 from roadsight.api.scene import ground
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.pavement import Search
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.vector.vector_sources import load_local

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import Verb, check_positive
 from roadsight.io.records.sighting_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import (
     looks_exchanged,
@@ -60,10 +59,7 @@ def run(
     ------
     InputError : the table or a value is not usable, or there are fewer than two sightings.
     """
-    for name, value in vars(numbers).items():
-        if not (math.isfinite(value) and value > 0):
-            flag = f"--{name.replace('_', '-')}"
-            raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
+    check_positive(vars(numbers))
     if seed < 0:
         raise InputError("is negative", where="--seed", found=seed, allowed="0 or more")
     given = {**vars(numbers), "calibrate_depth": not depths_as_given}

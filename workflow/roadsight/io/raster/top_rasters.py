@@ -76,7 +76,7 @@ class TopRasterWriter(WholeFile):
             height=rows,
             count=3,
             dtype="float32",
-            crs=crs_wkt(self._frame, is_height=True),
+            crs=crs_wkt(self._frame),
             nodata=_NODATA,
             compress="deflate",
             zlevel=1,

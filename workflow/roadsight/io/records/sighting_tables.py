@@ -71,10 +71,21 @@ def read_text_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     return table
 
 
-def write_csv(path: str | os.PathLike[str], table: pd.DataFrame) -> None:
-    """Write a table as CSV; NaN becomes an empty cell."""
+def write_csv(
+    path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int] | None = None
+) -> None:
+    """Write a table as CSV; NaN becomes an empty cell.
+
+    Parameters
+    ----------
+    decimals : digits after the point by column; other columns are written as they are.
+    """
+    texts = table.copy()
+    for name, digits in (decimals or {}).items():
+        # Adding zero turns -0 into 0.
+        texts[name] = [f"{round(float(v), digits) + 0.0:.{digits}f}" for v in table[name]]
     with atomic_path(path) as temporary:
-        table.to_csv(temporary, index=False, lineterminator="\n")
+        texts.to_csv(temporary, index=False, lineterminator="\n")
 
 
 def in_native(table: pd.DataFrame, frame: Frame) -> pd.DataFrame:
