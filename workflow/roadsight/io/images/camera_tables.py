@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import Field, RootModel
 
 from roadsight.base.errors import InputError
-from roadsight.base.section import validated
+from roadsight.base.section import Degrees, Section, validated
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.text_tables import read_cells
@@ -104,43 +104,38 @@ def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[
 
 # Registered cameras by image size: a JSON file that `roadsight register` or a user writes.
 
-Angle = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
-Metres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
-Sigma = Annotated[float | None, Field(gt=0, le=1e3, allow_inf_nan=False)]
-Count = Annotated[int | None, Field(ge=1)]
+_Metres = Annotated[float | None, Field(ge=-100, le=100)]
+_Sigma = Annotated[float | None, Field(gt=0, le=1e3)]
+_Count = Annotated[int | None, Field(ge=1)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Sigmas(_Section):
+class Sigmas(Section):
     """Standard deviation of each number."""
 
-    along_m: Sigma = None
-    lateral_m: Sigma = None
-    height_m: Sigma = None
-    yaw_deg: Sigma = None
-    pitch_deg: Sigma = None
-    roll_deg: Sigma = None
-    log_focal: Sigma = None
+    along_m: _Sigma = None
+    lateral_m: _Sigma = None
+    height_m: _Sigma = None
+    yaw_deg: _Sigma = None
+    pitch_deg: _Sigma = None
+    roll_deg: _Sigma = None
+    log_focal: _Sigma = None
 
 
-class Baseline(_Section):
+class Baseline(Section):
     """Where the camera of one image size sits on its vehicle, and its lens."""
 
-    focal_px: float | None = Field(None, gt=0, le=1e6, allow_inf_nan=False)
-    hfov_deg: float | None = Field(None, gt=0, lt=180, allow_inf_nan=False)
-    along_m: Metres | None = None
-    lateral_m: Metres | None = None
-    height_m: Metres | None = None
-    yaw_deg: Angle | None = None
-    pitch_deg: Angle | None = None
-    roll_deg: Angle | None = None
+    focal_px: float | None = Field(None, gt=0, le=1e6)
+    hfov_deg: float | None = Field(None, gt=0, lt=180)
+    along_m: _Metres = None
+    lateral_m: _Metres = None
+    height_m: _Metres = None
+    yaw_deg: Degrees | None = None
+    pitch_deg: Degrees | None = None
+    roll_deg: Degrees | None = None
     sigma: Sigmas = Sigmas()
-    images: Count = None
-    pairs: Count = None
-    rms_px: float | None = Field(None, ge=0, allow_inf_nan=False)
+    images: _Count = None
+    pairs: _Count = None
+    rms_px: float | None = Field(None, ge=0)
 
 
 class Baselines(RootModel[dict[Annotated[str, Field(pattern=r"^(all|\d+x\d+)$")], Baseline]]):
