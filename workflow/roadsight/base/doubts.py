@@ -75,8 +75,6 @@ def by_severity(doubts: Iterable[Doubt]) -> list[Doubt]:
     return sorted(dict.fromkeys(doubts), key=lambda doubt: _RANK[doubt.severity])
 
 
-# Lists of a user that are about something: how many of them meet it, and none is an error.
-
 # Share below which matches are told as a warning. A list that is about a site misses it by a few
 # entries at its ends; one in five is another thing: of the sites under config/ all lists match as a
 # whole. A list of a whole county gets the warning, which then says what it covers.
@@ -86,7 +84,7 @@ FEW = 0.8
 def tell_matches(
     log: logging.Logger, what: str, matched: int, total: int, where: str, hint: str = ""
 ) -> list[Doubt]:
-    """Say how many of a list match.
+    """Say how many of a user's list match; none is an error.
 
     Parameters
     ----------
