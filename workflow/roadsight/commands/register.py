@@ -66,7 +66,7 @@ def run(
         found_places = places_of(frames.reset_index(drop=True), edges)
         places = {place.image: place for place in found_places}
     found: dict[str, list[tuple[Registration, Start]]] = {}
-    for image, own in pairs.groupby("image", sort=True):
+    for image, own in ((str(name), own) for name, own in pairs.groupby("image", sort=True)):
         if image not in places:
             raise InputError(
                 "an image of the pairs is not in the videolog, or not usable there",
@@ -74,7 +74,7 @@ def run(
                 found=image,
                 allowed=f"{len(places)} images",
             )
-        start = places[str(image)].start
+        start = places[image].start
         size = start.width_px, start.height_px
         try:
             registration = register_camera(own[["u", "v"]], own[["x", "y", "z"]], *size)
