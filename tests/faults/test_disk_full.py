@@ -21,11 +21,12 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.images.image_shards import ImageShardWriter, JpegShardWriter, write_csv
+from roadsight.io.images.image_shards import ImageShardWriter, JpegShardWriter
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
+from roadsight.io.records.sighting_tables import write_csv
 from roadsight.io.records.surfaces import write_terrain
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers

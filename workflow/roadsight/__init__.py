@@ -15,7 +15,7 @@ _HOMES = {
     "depth_map": "sight",
     "detection_matrix": "sight",
     "cover": "covers",
-    "align": "drive",
+    "align": "alignment",
     "triangulate": "sightings",
     "estimate": "costs",
     "Cloud": "clouds",

@@ -1,8 +1,8 @@
+from roadsight.api.alignment import align as align
 from roadsight.api.clouds import Cloud as Cloud
 from roadsight.api.clouds import read_cloud as read_cloud
 from roadsight.api.costs import estimate as estimate
 from roadsight.api.covers import cover as cover
-from roadsight.api.drive import align as align
 from roadsight.api.scene import edges as edges
 from roadsight.api.scene import ground as ground
 from roadsight.api.scene import pavement as pavement

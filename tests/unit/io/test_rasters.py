@@ -29,10 +29,9 @@ VALUES[5, 6] = np.inf
 
 
 @pytest.mark.parametrize("frame", FRAMES, ids=["utm", "feet", "mixed", "local"])
-@pytest.mark.parametrize("is_height", [True, False])
-def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
+def test_raster_reads_back_where_it_was(tmp_path, frame):
     path = tmp_path / "dem.tif"
-    write_raster(path, VALUES, frame, -3.0, 25.5, 0.5, is_height=is_height)
+    write_raster(path, VALUES, frame, -3.0, 25.5, 0.5)
     back = read_raster(path, frame)
     assert (back.west_m, back.north_m, back.cell_size_m) == (-3.0, 25.5, 0.5)
     expected = np.where(np.isfinite(VALUES), VALUES, np.nan)
@@ -43,7 +42,7 @@ def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
         np.testing.assert_allclose(raster.xy(0, 0), frame.to_native([-2.75, 25.25]), rtol=1e-12)
         assert (raster.crs is None) == (frame.crs_wkt is None)
     assert pixels[3, 4] == pixels[5, 6] == -9999
-    native = frame.to_native([0, 0, float(VALUES[0, 0])])[2] if is_height else VALUES[0, 0]
+    native = frame.to_native([0, 0, float(VALUES[0, 0])])[2]
     assert pixels[0, 0] == pytest.approx(native, abs=1e-3)
 
 
@@ -53,12 +52,10 @@ def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
 )
 def test_heights_carry_the_vertical_crs(tmp_path, code, unit_m, unit):
     frame = Frame(FRAMES[1].origin, unit_m, unit_m, wkt_of(code))
-    for is_height in (True, False):
-        write_raster(tmp_path / "a.tif", VALUES, frame, 0, 0, 1, is_height=is_height)
-        with rasterio.open(tmp_path / "a.tif") as raster:
-            crs = CRS.from_wkt(raster.crs.to_wkt())
-            assert crs.equals(CRS.from_user_input(code if is_height else code.split("+")[0]))
-            assert raster.units == ((unit,) if is_height else (None,))
+    write_raster(tmp_path / "a.tif", VALUES, frame, 0, 0, 1)
+    with rasterio.open(tmp_path / "a.tif") as raster:
+        assert CRS.from_wkt(raster.crs.to_wkt()).equals(CRS.from_user_input(code))
+        assert raster.units == (unit,)
 
 
 def test_same_values_same_bytes_at_another_time(tmp_path):
@@ -143,18 +140,6 @@ def test_bad_rasters_are_one_message(tmp_path):
         read_raster(tmp_path / "cut.tif", frame)
 
 
-def test_filled_cells_are_told_from_measured_ones(tmp_path):
-    frame, values = Frame((500.0, 600.0, 10.0)), np.array([[1.0, 2.0], [3.0, np.nan]])
-    measured = np.array([[True, False], [True, False]])
-    write_raster(tmp_path / "two.tif", values, frame, 0.0, 2.0, 1.0, measured=measured)
-    write_raster(tmp_path / "one.tif", values, frame, 0.0, 2.0, 1.0)
-    x, y = [0.5, 1.5, 0.5, 1.5, 2.5], [1.5, 1.5, 0.5, 0.5, 0.5]
-    two, one = (read_raster(tmp_path / f"{name}.tif", frame) for name in ("two", "one"))
-    assert two.is_measured(x, y).tolist() == [True, False, True, False, False]
-    assert one.is_measured(x, y).tolist() == [True, True, True, False, False]
-    np.testing.assert_array_equal(two.values, one.values)
-
-
 @given(seed=st.integers(0, 2**31), rows=st.integers(1, 6), columns=st.integers(1, 6))
 def test_measured_cells_come_back_as_they_were_written(tmp_path_factory, seed, rows, columns):
     rng = np.random.default_rng(seed)
@@ -163,14 +148,9 @@ def test_measured_cells_come_back_as_they_were_written(tmp_path_factory, seed, r
     path = tmp_path_factory.mktemp("raster") / "two.tif"
     frame = Frame((500.0, 600.0, 10.0))
     write_raster(path, values, frame, -2.0, 3.0, 0.5, measured=measured)
-    found = read_raster(path, frame)
-    np.testing.assert_array_equal(found.measured, measured)
-    np.testing.assert_array_equal(np.isnan(found.values), np.isnan(values))
-    row, column = rng.integers(-2, 8, (2, 50))
-    x, y = -2.0 + 0.5 * (column + 0.5), 3.0 - 0.5 * (row + 0.5)
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    slow = [bool(i and measured[r, c]) for i, r, c in zip(inside, row, column, strict=True)]
-    assert found.is_measured(x, y).tolist() == slow
+    with rasterio.open(path) as raster:
+        np.testing.assert_array_equal(raster.read(2) == 1, measured)
+    np.testing.assert_array_equal(np.isnan(read_raster(path, frame).values), np.isnan(values))
 
 
 def test_a_large_raster_opens_fast_in_any_gis(tmp_path):

@@ -12,7 +12,11 @@ import pytest
 
 from roadsight.base.sections.scene import PavementOutline
 from roadsight.io.records import sources
-from roadsight.io.records.sources import Stamps, stage_sources
+from roadsight.io.records.sources import Stamps
+
+
+def stage_sources(stage):
+    return [str(path) for path in sources._Sources().of(stage)]
 
 
 @pytest.fixture

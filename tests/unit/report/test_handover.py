@@ -337,8 +337,8 @@ def test_heights_in_another_unit_than_the_header_says_name_no_vertical_crs():
     sensor = {"x": 10.0, "y": 20.0, "z": 30.0, "height_m": 6.0, "yaw_deg": 10.0, "edge": "e"}
     row = stakeout("p", [sensor], edges, frame).iloc[0]
     assert row[["vertical", "vertical_unit"]].tolist() == ["as in the cloud", "us-survey-foot"]
-    assert not CRS.from_wkt(crs_wkt(frame, is_height=True)).is_compound
-    assert CRS.from_wkt(crs_wkt(FEET, is_height=True)).is_compound
+    assert not CRS.from_wkt(crs_wkt(frame)).is_compound
+    assert CRS.from_wkt(crs_wkt(FEET)).is_compound
 
 
 def test_pitch_and_roll_go_along_to_layers_and_crew():

@@ -11,7 +11,7 @@ import pytest
 from roadsight.api.clouds import labels_of
 from roadsight.api.scene import ground
 from roadsight.base.errors import InputError
-from roadsight.commands.cloud_arguments import Reading, load_cloud
+from roadsight.commands.verb import Reading, load_cloud
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.records.atomic import read_json

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from roadsight.io.images.camera_tables import read_baselines
-from roadsight.io.images.image_shards import ImageShard, JpegShardWriter, write_csv
+from roadsight.io.images.image_shards import ImageShard, JpegShardWriter
+from roadsight.io.records.sighting_tables import write_csv
 from roadsight.stages.scene import generate_rural, render_videolog
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.videolog import random_drives

@@ -71,8 +71,8 @@ class Cloud:
         return str(self.native.header.path)
 
 
+# A cloud that was read, the path of one, or local metres: an array (n, 3) or columns x, y, z.
 Points = Cloud | pd.DataFrame | ArrayLike | str | os.PathLike[str]
-"""A cloud that was read, the path of one, or local metres: an array (n, 3) or columns x, y, z."""
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,11 @@ from roadsight.evidence.costs import Amounts
 from roadsight.evidence.estimate import SHIPPED, Estimate, read_costs
 from roadsight.evidence.estimate import estimate as estimate_runs
 
+# A mile of the North Carolina study: 34,012,557 points on 6.3 miles, 43 million images on 54,000.
+# Candidates and targets are those of the generated highway, 1,228 and 5,552 on 250 m.
 A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
-"""A mile of the North Carolina study: 34,012,557 points on 6.3 miles, 43 million images on 54,000.
-Candidates and targets are those of the generated highway, 1,228 and 5,552 on 250 m."""
-JOBS = ("placement", "poles")
-"""What a run may do."""
-_SHARDS = Run().shards
-"""Of a run that nobody says more of."""
+JOBS = ("placement", "poles")  # what a run may do
+_SHARDS = Run().shards  # of a run that nobody says more of
 
 
 def estimate(

@@ -22,9 +22,7 @@ from roadsight.scene.splines import outline_edges, spline_line
 from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, settled_road
 
 _USUAL = Pavement()
-
 log = logging.getLogger("roadsight")
-
 Method = Literal["auto", "surface", "published"]
 IntensityUse = Literal["auto", "use", "ignore"]
 

@@ -20,10 +20,10 @@ from roadsight.placement.sensors.sensors import Sensor, load_sensor
 from roadsight.placement.sight.sight import Sight, count_beams
 from roadsight.scene.surfels import in_company
 
+# Sensors by name, with the data sheets that they are from.
 CATALOGUE = Path(__file__).parents[3] / "config" / "sensors.yaml"
-"""Sensors by name, with the data sheets that they are from."""
+# Points so far beyond the sensor's range still help to tell the surfaces at its end.
 _MARGIN_M = 10.0
-"""Points so far beyond the sensor's range still help to tell the surfaces at its end."""
 
 
 def depth_map(
@@ -63,7 +63,9 @@ def depth_map(
     >>> ranges.shape, round(float(ranges[ranges > 0].min()), 1)
     ((64, 2048), 10.5)
     """
-    sensor, place = _sensor(sensor), _place(position_m)
+    sensor, place = _sensor(sensor), np.asarray(position_m, np.float64)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError("is no place", where="position", found=position_m, allowed="x, y, z")
     xyz_m = in_company_of(taken(points).xyz_m, outlier_radius_m, engine)
     near_m = points_in_reach(xyz_m, sensor, place)
     return lidar_of_points(near_m, engine=engine).depth_map(sensor, place, yaw_deg)
@@ -149,8 +151,8 @@ def detection_matrix(
     [0]
     """
     sensor, asked = _sensor(sensor), settings or Targets()
-    poses = _rows(candidates, "candidates", ("x", "y", "z", "yaw_deg"), least=3)
-    feet_m = _rows(targets, "targets", ("x", "y", "z"), least=3)
+    poses = _rows(candidates, "candidates", ("x", "y", "z", "yaw_deg"))
+    feet_m = _rows(targets, "targets", ("x", "y", "z"))
     lidar = points
     if not isinstance(lidar, SurfelLidar):
         lidar = lidar_of_points(taken(lidar).xyz_m, engine=engine)
@@ -168,24 +170,15 @@ def _sensor(sensor: Sensor | str) -> Sensor:
     return load_sensor(CATALOGUE, sensor) if isinstance(sensor, str) else sensor
 
 
-def _place(position_m: ArrayLike) -> Floats:
-    place = np.asarray(position_m, np.float64)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError("is no place", where="position", found=position_m, allowed="x, y, z")
-    return place
-
-
-def _rows(
-    given: pd.DataFrame | ArrayLike, name: str, columns: tuple[str, ...], least: int
-) -> Floats:
+def _rows(given: pd.DataFrame | ArrayLike, name: str, columns: tuple[str, ...]) -> Floats:
     """Places (n, 3 or more) of a table or an array."""
     if isinstance(given, pd.DataFrame):
-        missing = [column for column in columns[:least] if column not in given]
+        missing = [column for column in "xyz" if column not in given]
         if missing:
             raise InputError("lacks a column", where=name, found=missing[0], allowed=columns)
         given = given[[column for column in columns if column in given]].to_numpy(np.float64)
     rows = np.asarray(given, np.float64)
-    if rows.ndim != 2 or not least <= rows.shape[1] <= len(columns) or not np.isfinite(rows).all():
+    if rows.ndim != 2 or not 3 <= rows.shape[1] <= len(columns) or not np.isfinite(rows).all():
         raise InputError(
             "are no places", where=name, found=f"shape {rows.shape}", allowed=", ".join(columns)
         )

@@ -7,19 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-"""Measures and coordinates."""
-Floats32 = NDArray[np.float32]
-"""The same where memory counts: near a local origin only."""
-Ints = NDArray[np.int64]
-"""Numbers of things, counts."""
-Ints32 = NDArray[np.int32]
-"""The same as solvers and kernels take them."""
-Bools = NDArray[np.bool_]
-"""Masks."""
-Bytes = NDArray[np.uint8]
-"""Classes and pixels."""
-Numbers = NDArray[Any]
-"""Any of them."""
-
+Floats = NDArray[np.float64]  # measures and coordinates
+Floats32 = NDArray[np.float32]  # the same where memory counts: near a local origin only
+Ints = NDArray[np.int64]  # numbers of things, counts
+Ints32 = NDArray[np.int32]  # the same as solvers and kernels take them
+Bools = NDArray[np.bool_]  # masks
+Bytes = NDArray[np.uint8]  # classes and pixels
+Numbers = NDArray[Any]  # any of them
 __all__ = ["Bools", "Bytes", "Floats", "Floats32", "Ints", "Ints32", "Numbers"]

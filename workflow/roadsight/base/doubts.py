@@ -14,7 +14,6 @@ from typing import Any, Literal
 from roadsight.base.errors import InputError
 
 Severity = Literal["note", "doubt", "refused"]
-
 Value = float | str | None
 
 
@@ -58,8 +57,7 @@ def refuse(doubts: Iterable[Doubt], where: str) -> None:
             raise InputError(doubt.message, where=where, found=doubt.measured, allowed=doubt.limit)
 
 
-_LISTED = 3
-"""Names that a sentence can hold."""
+_LISTED = 3  # names that a sentence can hold
 
 
 def listed(names: Sequence[str]) -> str:
@@ -77,18 +75,16 @@ def by_severity(doubts: Iterable[Doubt]) -> list[Doubt]:
     return sorted(dict.fromkeys(doubts), key=lambda doubt: _RANK[doubt.severity])
 
 
-# Lists of a user that are about something: how many of them meet it, and none is an error.
-
+# Share below which matches are told as a warning. A list that is about a site misses it by a few
+# entries at its ends; one in five is another thing: of the sites under config/ all lists match as a
+# whole. A list of a whole county gets the warning, which then says what it covers.
 FEW = 0.8
-"""Share below which matches are told as a warning. A list that is about a site misses it by a few
-entries at its ends; one in five is another thing: of the sites under config/ all lists match as a
-whole. A list of a whole county gets the warning, which then says what it covers."""
 
 
 def tell_matches(
     log: logging.Logger, what: str, matched: int, total: int, where: str, hint: str = ""
 ) -> list[Doubt]:
-    """Say how many of a list match.
+    """Say how many of a user's list match; none is an error.
 
     Parameters
     ----------

@@ -10,13 +10,12 @@ from typing import Any, Literal, get_args
 
 from roadsight.base.errors import InputError
 
-Engine = Literal["own", "open3d"]
-"""Who does a step."""
+Engine = Literal["own", "open3d"]  # who does a step
+# The default everywhere, so that results do not depend on what a machine has installed.
 OWN: Engine = "own"
-"""The default everywhere, so that results do not depend on what a machine has installed."""
-ENGINES: tuple[str, ...] = get_args(Engine)
-"""All engines, for command lines."""
-
+ENGINES: tuple[str, ...] = get_args(Engine)  # all engines, for command lines
+# Debian's package of each system library that a wheel of Open3D 0.19 or 0.20 is linked with and
+# does not bring along (``ldd`` of all its libraries; libgomp belongs to 0.19).
 SYSTEM_PACKAGES = {
     "libEGL.so.1": "libegl1",
     "libGL.so.1": "libgl1",
@@ -25,8 +24,6 @@ SYSTEM_PACKAGES = {
     "libudev.so.1": "libudev1",
     "libusb-1.0.so.0": "libusb-1.0-0",
 }
-"""Debian's package of each system library that a wheel of Open3D 0.19 or 0.20 is linked with and
-does not bring along (``ldd`` of all its libraries; libgomp belongs to 0.19)."""
 
 
 def open3d(where: str = "") -> Any:

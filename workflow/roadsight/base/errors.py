@@ -5,10 +5,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+# Letters of a foreign text that a message quotes: enough to recognise it, not a whole file.
 _LONGEST = 500
-"""Letters of a foreign text that a message quotes: enough to recognise it, not a whole file."""
+# Letters of what would be allowed: columns of a damaged file may go on for pages.
 _LONGEST_LIST = 1000
-"""Letters of what would be allowed: columns of a damaged file may go on for pages."""
 
 
 class InputError(Exception):

@@ -34,17 +34,14 @@ try:
 except ImportError:  # on Windows each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
+# A process that has waited longer in all, for one that was halted say, compiles for itself. All the
+# kernels of a step compile in less.
 _LONGEST_WAIT_S = 120.0
-"""A process that has waited longer in all, for one that was halted say, compiles for itself. All
-the kernels of a step compile in less."""
 _POLL_S = 0.05
-_waited_s = [0.0]
-"""How long this process has waited."""
-
+_waited_s = [0.0]  # how long this process has waited
 # Before Numba declares its stand-ins, which it does when it first compiles. The name is its own, so
 # that another version may lack it and compiles a little longer.
 getattr(extending, "_overload_default_jit_options", {})["no_cfunc_wrapper"] = True
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 

@@ -9,22 +9,14 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from roadsight.base.errors import InputError, nearest
-from roadsight.base.former import renamed
 
 Positive = Annotated[float, Field(gt=0, le=1e6)]
-
 Metres = Annotated[float, Field(gt=0, le=1000)]
-
 Degrees = Annotated[float, Field(ge=-180, le=180)]
-
 Share = Annotated[float, Field(ge=0, le=1)]
-
 Count = Annotated[int, Field(ge=1)]
-
 LasClass = Annotated[int, Field(ge=0, le=255)]
-
-Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
-"""Safe as a folder and as a wildcard."""
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]  # safe as a folder and as a wildcard
 
 
 class Section(BaseModel):
@@ -33,19 +25,11 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-# Validation that ends in one clear message: file, field, value found, value allowed.
-
-_LONGEST_NAME = 255
-"""Bytes of one part of a path (NAME_MAX of Linux)."""
-
-_LONGEST_PATH = 4095
-"""Bytes of a whole path (PATH_MAX of Linux, less the null that ends it)."""
-
+_LONGEST_NAME = 255  # bytes of one part of a path (NAME_MAX of Linux)
+_LONGEST_PATH = 4095  # bytes of a whole path (PATH_MAX of Linux, less the null that ends it)
+# What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes.
 _MISREAD = int | float | date
-"""What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes."""
-
 Model = TypeVar("Model", bound=BaseModel)
-
 Given = TypeVar("Given")
 
 
@@ -66,8 +50,7 @@ def validated(model: type[Model], content: Any, where: str) -> Model:
 
     Raises
     ------
-    InputError : for the first thing that is wrong; a misspelt key is told its nearest valid one,
-        a former one its new name.
+    InputError : for the first thing that is wrong; a misspelt key is told its nearest valid one.
     """
     if not isinstance(content, dict):
         raise InputError("must be a mapping of keys to values", where=where, found=repr(content))
@@ -98,18 +81,29 @@ def _message(
 ) -> InputError:
     # A misspelt key is told before the one that is missing for it.
     first = min(error.errors(), key=lambda part: part["type"] != "extra_forbidden")
-    field = ".".join(_keys_of(content, first["loc"]))
+    keys = []  # those of the file; beyond them, pydantic names alternatives of a value's type
+    for part in first["loc"]:
+        if isinstance(content, dict):
+            content = content.get(part)
+        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
+            content = content[part]
+        else:
+            break
+        keys.append(str(part))
+    field = ".".join(keys)
     if first["type"] == "extra_forbidden":
-        keys = _keys(model, first["loc"][:-1])
-        hint = renamed(field) or nearest(str(first["loc"][-1]), keys)
+        hint = nearest(str(first["loc"][-1]), _keys(model, first["loc"][:-1]))
         return InputError(f"unknown key {field!r}", where=where, hint=hint)
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "missing":
         return InputError(f"key {field!r} is missing", where=where)
     shown = None if isinstance(first["input"], dict) else repr(first["input"])
-    hint = renamed(field, first["input"])
+    hint = ""
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
-        hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
+        nothing = first["input"] is None or isinstance(first["input"], bool)
+        kind = "date" if isinstance(first["input"], date) else "number"
+        kind = "yes, no or nothing" if nothing else kind
+        hint = f'put it in quotes: "..." (YAML reads it as a {kind})'
     # The field takes a number or a word: the words are listed too.
     words = [
         part["ctx"]["expected"]
@@ -120,27 +114,6 @@ def _message(
     return InputError(
         f"{field or 'file'}: {message}", where=where, found=shown, allowed=allowed, hint=hint
     )
-
-
-def _keys_of(content: Any, loc: tuple[int | str, ...]) -> list[str]:
-    """Keys of the file that lead to a value; beyond it, pydantic names alternatives of its type."""
-    keys = []
-    for part in loc:
-        if isinstance(content, dict):
-            content = content.get(part)
-        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
-            content = content[part]
-        else:
-            break
-        keys.append(str(part))
-    return keys
-
-
-def _kind(value: object) -> str:
-    """What YAML takes a word without quotes for."""
-    if value is None or isinstance(value, bool):
-        return "yes, no or nothing"
-    return "date" if isinstance(value, date) else "number"
 
 
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

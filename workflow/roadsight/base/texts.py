@@ -12,8 +12,8 @@ import yaml
 
 from roadsight.base.errors import InputError
 
+# Values of a file, repeats by aliases counted. Aliases of aliases reach it in a few lines.
 _MOST_VALUES = 1_000_000
-"""Values of a file, repeats by aliases counted. Aliases of aliases reach it in a few lines."""
 
 
 class _OneKeyOnce(yaml.SafeLoader):

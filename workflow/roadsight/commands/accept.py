@@ -33,13 +33,11 @@ from roadsight.placement.plans.acceptance import (
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AnySensor, Sensor, load_sensors
 
-_LEAN = "mount_tilt"
-"""Effect by which mounts lean with the road."""
+_LEAN = "mount_tilt"  # effect by which mounts lean with the road
+# Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
+# fell or grew since the survey more.
 _AGREEING = 0.8
-"""Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
-fell or grew since the survey more."""
-_SENSOR_FRAME_M = 1_000.0
-"""Scans in the sensor's own frame lie within this of its origin."""
+_SENSOR_FRAME_M = 1_000.0  # scans in the sensor's own frame lie within this of its origin
 
 
 @dataclass(frozen=True)
@@ -71,10 +69,27 @@ def run(
     folder = given.plan.parent
     frame_file = frame_path or folder.parent.parent / "scene" / "frame.json"
     frame = Frame.from_dict(read_json(frame_file))
-    place = _place(given)
+    placed: list[dict[str, Any]] = read_json(given.plan)["sensors"]
+    if not 1 <= given.sensor <= len(placed):
+        raise InputError(
+            "is no sensor of the plan",
+            where="--sensor",
+            found=given.sensor,
+            allowed=f"1 to {len(placed)}",
+        )
+    place = placed[given.sensor - 1]
     position_m = np.array([place[axis] for axis in "xyz"], np.float64)
     sensor = _sensor(sensors, place["sensor"])
-    planned = _planned(scans or folder / "scans.laz", given.sensor, frame, sensor, position_m)
+    path = scans or folder / "scans.laz"
+    cloud = read_laz(path)
+    own = cloud.dims["point_source_id"] == given.sensor
+    if not own.any():
+        raise InputError("has no scan of the sensor", where=str(path), found=given.sensor)
+    step = None
+    if isinstance(sensor, Sensor):
+        rows = float(np.median(np.abs(np.diff(np.sort(sensor.elevation_deg)))))
+        step = np.array([360.0 / sensor.columns, rows])
+    planned = planned_scan(frame.to_local(cloud.xyz[own]), position_m, step)
     found, scan_m = _fitted(scan, frame, _rotation(folder, place), planned)
     placed_m = scan_m @ found.rotation.T + found.shift_m
     moved_m = found.rotation @ position_m + found.shift_m - position_m
@@ -95,25 +110,8 @@ def run(
     print(f"  {out}")
 
 
-def _place(given: Installed) -> dict[str, Any]:
-    sensors: list[dict[str, Any]] = read_json(given.plan)["sensors"]
-    if not 1 <= given.sensor <= len(sensors):
-        raise InputError(
-            "is no sensor of the plan",
-            where="--sensor",
-            found=given.sensor,
-            allowed=f"1 to {len(sensors)}",
-        )
-    return sensors[given.sensor - 1]
-
-
 def _sensor(path: Path, name: str) -> AnySensor:
-    """Definition of the plan's model.
-
-    Raises
-    ------
-    InputError : the file is not usable, or has no such model.
-    """
+    """Definition of the plan's model."""
     sensors = load_sensors(path)
     if name not in sensors:
         raise InputError(
@@ -128,18 +126,14 @@ def _sensor(path: Path, name: str) -> AnySensor:
 
 def _rotation(folder: Path, place: dict[str, Any]) -> Floats:
     """Axes (3, 3) of the sensor as planned, local frame, the lean of its mount included."""
-    turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
-    tilt = _tilts(folder).get(str(place.get("position", place["candidate"])))
-    return local_from_sensor(float(place["yaw_deg"]), turn, tilt)
-
-
-def _tilts(folder: Path) -> dict[str, Floats]:
-    """How mounts lean by the plan's results; upright where these skip the effect."""
     effects = folder.parent.parent / "effects.json"
     decided = read_json(effects) if effects.is_file() else []
-    if any(one["effect"] == _LEAN and one["decision"] == "skip" for one in decided):
-        return {}
-    return read_tilts(sorted(folder.parent.glob("round-*/tilts.parquet")))
+    tilts: dict[str, Floats] = {}  # upright where the results skip the effect
+    if not any(one["effect"] == _LEAN and one["decision"] == "skip" for one in decided):
+        tilts = read_tilts(sorted(folder.parent.glob("round-*/tilts.parquet")))
+    turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
+    tilt = tilts.get(str(place.get("position", place["candidate"])))
+    return local_from_sensor(float(place["yaw_deg"]), turn, tilt)
 
 
 def _target(folder: Path, model: str) -> Target:
@@ -159,29 +153,10 @@ def _target(folder: Path, model: str) -> Target:
     )
 
 
-def _planned(
-    path: Path, number: int, frame: Frame, sensor: AnySensor, position_m: Floats
-) -> Planned:
-    cloud = read_laz(path)
-    own = cloud.dims["point_source_id"] == number
-    if not own.any():
-        raise InputError("has no scan of the sensor", where=str(path), found=number)
-    step = None
-    if isinstance(sensor, Sensor):
-        rows = float(np.median(np.abs(np.diff(np.sort(sensor.elevation_deg)))))
-        step = np.array([360.0 / sensor.columns, rows])
-    return planned_scan(frame.to_local(cloud.xyz[own]), position_m, step)
-
-
 def _fitted(
     scan: Path, frame: Frame, rotation: Floats, planned: Planned
 ) -> tuple[Registered, Floats]:
-    """The scan, in the sensor's or in the site's frame, whichever fits, and its points (n, 3).
-
-    Parameters
-    ----------
-    rotation : (3, 3) axes of the sensor as planned, in the local frame.
-    """
+    """The scan, in the sensor's or in the site's frame, whichever fits, and its points (n, 3)."""
     cloud = read_laz(scan).xyz
     tries = []
     if np.abs(np.median(cloud, axis=0)).max() < _SENSOR_FRAME_M:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from roadsight.api.drive import Drive, cameras_of
+from roadsight.api.drive import Drive
 from roadsight.base.errors import InputError
 from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import write_csv
@@ -26,6 +26,8 @@ def run(
     """
     if out.suffix.lower() != ".csv":
         raise InputError("is no name for a table", where=f"--out {out}", allowed=".csv")
+    from roadsight.api.alignment import cameras_of  # noqa: PLC0415  # slow to load
+
     cameras = cameras_of(videolog, drive)
     write_csv(out, cameras)
     print(f"{cameras['accepted'].sum()} of {len(cameras)} cameras: {out}")

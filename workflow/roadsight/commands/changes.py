@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,7 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import Verb, check_positive
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.changes import STATUSES, ChangeSettings, changes
 
@@ -34,7 +33,7 @@ def run(
     ------
     InputError : a table or a value is not usable, or one has degrees and the other none.
     """
-    _check(settings)
+    check_positive(vars(settings))
     old, new = (_read(path) for path in (old_path, new_path))
     degrees = ["latitude" in table for table in (old, new)]
     if degrees[0] != degrees[1]:
@@ -44,7 +43,11 @@ def run(
             allowed="both with degrees, or both in the same metres",
         )
     if degrees[0]:
-        mover = _to_metres(pd.concat([old, new]))
+        places = pd.concat([old, new])[["latitude", "longitude"]]
+        latitude, longitude = places.median() if len(places) else (0.0, 0.0)
+        # Metres about the middle of the places, true to distances near it.
+        plane = f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m"
+        mover = Transformer.from_crs("EPSG:4326", CRS.from_proj4(plane), always_xy=True)
         for table in (old, new):
             table["x"], table["y"] = mover.transform(table["longitude"], table["latitude"])
         found = changes(old, new, settings)
@@ -95,21 +98,6 @@ def _read(path: str) -> pd.DataFrame:
         raise InputError("two objects share an id", where=path, found=repeated.iloc[0])
     columns = ["latitude", "longitude"] if axes else ["x", "y"]
     return found.assign(**dict(zip(columns, numbers.T, strict=True)))
-
-
-def _to_metres(places: pd.DataFrame) -> Transformer:
-    """Degrees into metres about the middle of the places, true to distances near it."""
-    middle = places[["latitude", "longitude"]].median() if len(places) else [0.0, 0.0]
-    latitude, longitude = (float(value) for value in middle)
-    own = CRS.from_proj4(f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m")
-    return Transformer.from_crs("EPSG:4326", own, always_xy=True)
-
-
-def _check(settings: ChangeSettings) -> None:
-    for name, value in vars(settings).items():
-        if not (math.isfinite(value) and value > 0):
-            flag = f"--{name.replace('_', '-')}"
-            raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
 
 
 VERB = Verb("changes", "what changed between two surveys of poles", run)

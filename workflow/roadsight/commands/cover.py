@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
@@ -26,143 +26,7 @@ from roadsight.setcover.plans.deployment import Deployment, spacing_cliques
 from roadsight.setcover.plans.second import chosen_again
 from roadsight.setcover.plans.whole import solve_whole, verify
 
-_FIRST = 5
-"""Columns that a message names of those that nothing covers."""
-
-
-def run(
-    matrix: Annotated[str, "scipy sparse .npz; rows = choices, columns = targets"],
-    /,
-    given: CoverOptions,
-    *,
-    out: Annotated[Path, "JSON file to write"],
-) -> None:
-    """Write the chosen rows with their proof.
-
-    Raises
-    ------
-    InputError : a file or value is not usable, or no choice of rows is feasible.
-    """
-    _check_numbers(given)
-    check_additions(given)
-    often = given.at_least if given.needs is None else read_vector(given.needs)
-    problem = CoverProblem(
-        read_matrix(matrix),
-        _vector(given.costs),
-        _vector(given.groups),
-        often,
-        () if given.mandatory is None else read_vector(given.mandatory),
-        () if given.forbidden is None else read_vector(given.forbidden),
-    )
-    asked = asked_of(given, problem)
-    limit, seed = given.time_limit, given.seed
-    if given.solver == HIGHS:
-        cover = solve_whole(asked.deployment, limit)
-    elif asked.plain:
-        cover = solve_cover_problem(problem, limit, seed)
-    else:
-        cover = solve_deployment(asked.deployment, limit, seed).cover
-    _check_feasible(given, cover, matrix, problem.matrix.shape[1])
-    cover, second = _second(given, asked, cover)
-    content = _content(asked, cover) | second
-    if given.verify is not None:
-        checked = verify(asked.deployment, cover, WorkLimit(given.verify))
-        content["verified"] = checked.record()
-    if given.curve is not None:
-        content["curve"] = curve_of(given, given.curve, asked, cover)
-    if given.alternatives:
-        content["alternatives"] = swaps_of(asked, cover)
-    write_json(out, content)
-    value, bound = content["objective"], content["bound"]
-    of = "targets" if given.weights is None else "weight"
-    found = f"{value:g} of {asked.total:g} {of} covered" if asked.counts else f"cost {value:g}"
-    print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {out}")
-
-
-def _second(given: CoverOptions, asked: Asked, cover: Cover) -> tuple[Cover, dict[str, Any]]:
-    """The rows that cover most targets once more for the same cost, and how far that is proven."""
-    if given.second is None:
-        return cover, {}
-    cover, found = chosen_again(asked.deployment, cover, WorkLimit(given.second))
-    proven = found.proven and cover.status == "optimal"
-    record = {
-        "covered_once_more": float(found.value[0]),
-        "bound_once_more": found.bound,
-        "covered_twice_more": float(found.value[1]),
-        "status": "optimal" if proven else "time_limit",
-    }
-    return cover, {"second": record}
-
-
-def _vector(path: str | None) -> Any:
-    return None if path is None else read_vector(path)
-
-
-def _check_numbers(given: CoverOptions) -> None:
-    limit = given.time_limit
-    if limit is not None and not (math.isfinite(limit) and limit >= 0):
-        raise InputError("is no time", where="--time-limit", found=limit, allowed="0 s or more")
-    if given.at_least < 1:
-        raise InputError(
-            "is too small", where="--at-least", found=given.at_least, allowed="1 or more"
-        )
-    if given.seed < 0:
-        raise InputError("is negative", where="--seed", found=given.seed, allowed="0 or more")
-
-
-def _check_feasible(given: CoverOptions, cover: Cover, where: str, targets: int) -> None:
-    if cover.status == "infeasible" and len(cover.uncoverable):
-        first = ", ".join(str(t) for t in cover.uncoverable[:_FIRST])
-        more = ", ..." if len(cover.uncoverable) > _FIRST else ""
-        times = "often enough" if given.needs else f"{given.at_least} times"
-        raise InputError(
-            f"{len(cover.uncoverable)} of {targets} targets cannot be covered"
-            f" {times}: columns {first}{more}",
-            where=where,
-            hint="leave these columns out or add rows that cover them",
-        )
-    if cover.status == "infeasible" and (given.spacing or given.keep_share):
-        raise InputError(
-            "no choice of rows covers all targets under these conditions",
-            where=where,
-            hint="lower --spacing or --keep-share, or give a --budget or --price",
-        )
-    if cover.status == "infeasible":
-        raise InputError("no choice of one row for each group covers all targets", where=where)
-    if not math.isfinite(cover.objective):
-        raise InputError(
-            "no feasible choice was found in time",
-            where="--time-limit",
-            found=f"{given.time_limit:g} s",
-            hint="allow more time",
-        )
-
-
-def _content(asked: Asked, cover: Cover) -> dict[str, Any]:
-    return {
-        "status": cover.status,
-        "objective": asked.shown(cover.objective),
-        "bound": asked.shown(cover.bound),
-        "gap": cover.gap,
-        "solver": cover.solver,
-        "solver_version": version(cover.solver),
-        "proved_by": cover.proved_by,
-        "chosen": cover.chosen.tolist(),
-        "seconds_cpu": cover.seconds_cpu,
-        "lp_bound": cover.lp_bound,
-        "nodes": cover.nodes,
-        "reductions": cover.reductions,
-        **({} if asked.plain else _figures(asked, cover)),
-    }
-
-
-def _figures(asked: Asked, cover: Cover) -> dict[str, float]:
-    """Cost and covered weight of the chosen rows."""
-    costs = np.asarray(asked.deployment.problem.costs)[cover.chosen]
-    return {"cost": math.fsum(costs), "covered": asked.deployment.guaranteed(cover.chosen)}
-
-
-# Options of ``roadsight cover``: what they pose, the curve, and what could replace what.
+_FIRST = 5  # columns that a message names of those that nothing covers
 
 
 @dataclass(frozen=True)
@@ -215,47 +79,75 @@ class Asked:
     plain: bool
     counts: bool
 
-    @property
-    def total(self) -> float:
-        """Weight of all targets."""
-        return self.deployment.total
 
-    def shown(self, objective: float) -> float:
-        """Covered weight for a budget, cost of rows and unseen targets for a price, else cost."""
-        return self.deployment.shown(objective)
-
-
-def asked_of(given: CoverOptions, problem: CoverProblem) -> Asked:
-    """Deployment of the verb's options.
+def run(
+    matrix: Annotated[str, "scipy sparse .npz; rows = choices, columns = targets"],
+    /,
+    given: CoverOptions,
+    *,
+    out: Annotated[Path, "JSON file to write"],
+) -> None:
+    """Write the chosen rows with their proof.
 
     Raises
     ------
-    InputError : an option or a file is not usable.
+    InputError : a file or value is not usable, or no choice of rows is feasible.
     """
-    targets = problem.matrix.shape[1]
-    weights = np.ones(targets) if given.weights is None else _floats(given.weights, targets)
-    common: dict[str, Any] = {"cliques": _cliques(given, problem), "keep": given.keep_share}
-    if given.budget is not None:
-        base = budgeted(problem, given.budget, weights)
-        fields = ("complete", "worth", "cost", "charge", "budget")
-        rest = {name: getattr(base, name) for name in fields}
-        return Asked(Deployment(problem, weights, **rest, **common), False, True)
-    if given.price is not None:
-        if not (math.isfinite(given.price) and given.price > 0):
-            raise InputError("is no price", where="--price", found=given.price, allowed="above 0")
-        priced = Deployment(problem, weights, complete=False, worth=given.price, **common)
-        return Asked(priced, False, False)
-    deployment = Deployment(problem, weights, **common)
-    return Asked(deployment, not (common["cliques"] or given.keep_share), False)
+    _check_options(given)
+    often = given.at_least if given.needs is None else read_vector(given.needs)
+    problem = CoverProblem(
+        read_matrix(matrix),
+        _vector(given.costs),
+        _vector(given.groups),
+        often,
+        () if given.mandatory is None else read_vector(given.mandatory),
+        () if given.forbidden is None else read_vector(given.forbidden),
+    )
+    asked = _asked(given, problem)
+    limit, seed = given.time_limit, given.seed
+    if given.solver == HIGHS:
+        cover = solve_whole(asked.deployment, limit)
+    elif asked.plain:
+        cover = solve_cover_problem(problem, limit, seed)
+    else:
+        cover = solve_deployment(asked.deployment, limit, seed).cover
+    _check_feasible(given, cover, matrix, problem.matrix.shape[1])
+    cover, second = _second(given, asked, cover)
+    content = _content(asked, cover) | second
+    if given.verify is not None:
+        checked = verify(asked.deployment, cover, WorkLimit(given.verify))
+        content["verified"] = checked.record()
+    if given.curve is not None:
+        content["curve"] = _curve(given, given.curve, asked, cover)
+    if given.alternatives:
+        swaps = replacements(asked.deployment, cover.chosen)  # for each chosen row alone
+        content["alternatives"] = [rows.tolist() for rows in swaps]
+    write_json(out, content)
+    value, bound = content["objective"], content["bound"]
+    of = "targets" if given.weights is None else "weight"
+    found = (
+        f"{value:g} of {asked.deployment.total:g} {of} covered"
+        if asked.counts
+        else f"cost {value:g}"
+    )
+    print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {out}")
 
 
-def check_additions(given: CoverOptions) -> None:
-    """Refuse a second objective or a curve that the other options leave no room for.
+def _vector(path: str | None) -> Any:
+    return None if path is None else read_vector(path)
 
-    Raises
-    ------
-    InputError : the limit is no time, fewer than two points, or an option they do not go with.
-    """
+
+def _check_options(given: CoverOptions) -> None:
+    """Refuse numbers out of range, and options that do not go with each other."""
+    limit = given.time_limit
+    if limit is not None and not (math.isfinite(limit) and limit >= 0):
+        raise InputError("is no time", where="--time-limit", found=limit, allowed="0 s or more")
+    if given.at_least < 1:
+        raise InputError(
+            "is too small", where="--at-least", found=given.at_least, allowed="1 or more"
+        )
+    if given.seed < 0:
+        raise InputError("is negative", where="--seed", found=given.seed, allowed="0 or more")
     if given.budget is not None and given.price is not None:
         raise InputError("goes with no --price", where="--budget", hint="leave one of them out")
     second, curve = given.second, given.curve
@@ -272,44 +164,32 @@ def check_additions(given: CoverOptions) -> None:
         raise InputError("goes with no --price", where="--curve", hint="leave one of them out")
 
 
-def curve_of(given: CoverOptions, points: int, asked: Asked, cover: Cover) -> list[dict[str, Any]]:
-    """Coverage of budgets up to the cost of the answer, or up to the budget."""
-    deployment = asked.deployment
-    charge = deployment.charge
-    most = deployment.budget if asked.counts else math.fsum(charge[cover.chosen])
-    least = max(math.fsum(charge[deployment.problem.mandatory]), float(charge.min(initial=most)))
-    budgets = spread_budgets(min(least, most), most, points, objective_step(charge))
-    curve = coverage_curve(
-        deployment, budgets, given.time_limit, given.seed, known=[cover.chosen], solver=given.solver
-    )
-    return [
-        {
-            "budget": p.budget,
-            "cost": p.spent,
-            "covered": p.value,
-            "bound": p.bound,
-            "status": p.status,
-            "chosen": p.chosen.tolist(),
-        }
-        for p in curve
-    ]
-
-
-def swaps_of(asked: Asked, cover: Cover) -> list[list[int]]:
-    """Rows that could replace each chosen row alone."""
-    return [rows.tolist() for rows in replacements(asked.deployment, cover.chosen)]
-
-
-def _floats(path: str, length: int) -> Floats:
-    values = read_vector(path)
-    if values.shape != (length,) or values.dtype.kind not in "biuf":
-        raise InputError(
-            "has no number for each target",
-            where=path,
-            found=f"type {values.dtype}, shape {values.shape}",
-            allowed=f"shape ({length},)",
-        )
-    return values.astype(np.float64)
+def _asked(given: CoverOptions, problem: CoverProblem) -> Asked:
+    targets = problem.matrix.shape[1]
+    weights = np.ones(targets)
+    if given.weights is not None:
+        values = read_vector(given.weights)
+        if values.shape != (targets,) or values.dtype.kind not in "biuf":
+            raise InputError(
+                "has no number for each target",
+                where=given.weights,
+                found=f"type {values.dtype}, shape {values.shape}",
+                allowed=f"shape ({targets},)",
+            )
+        weights = values.astype(np.float64)
+    common: dict[str, Any] = {"cliques": _cliques(given, problem), "keep": given.keep_share}
+    if given.budget is not None:
+        base = budgeted(problem, given.budget, weights)
+        fields = ("complete", "worth", "cost", "charge", "budget")
+        rest = {name: getattr(base, name) for name in fields}
+        return Asked(Deployment(problem, weights, **rest, **common), False, True)
+    if given.price is not None:
+        if not (math.isfinite(given.price) and given.price > 0):
+            raise InputError("is no price", where="--price", found=given.price, allowed="above 0")
+        priced = Deployment(problem, weights, complete=False, worth=given.price, **common)
+        return Asked(priced, False, False)
+    deployment = Deployment(problem, weights, **common)
+    return Asked(deployment, not (common["cliques"] or given.keep_share), False)
 
 
 def _cliques(given: CoverOptions, problem: CoverProblem) -> tuple[Ints, ...]:
@@ -331,6 +211,95 @@ def _cliques(given: CoverOptions, problem: CoverProblem) -> tuple[Ints, ...]:
             allowed=f"finite, shape ({rows}, 2)",
         )
     return spacing_cliques(xy, given.spacing)
+
+
+def _check_feasible(given: CoverOptions, cover: Cover, where: str, targets: int) -> None:
+    if cover.status == "infeasible" and len(cover.uncoverable):
+        first = ", ".join(str(t) for t in cover.uncoverable[:_FIRST])
+        more = ", ..." if len(cover.uncoverable) > _FIRST else ""
+        times = "often enough" if given.needs else f"{given.at_least} times"
+        raise InputError(
+            f"{len(cover.uncoverable)} of {targets} targets cannot be covered"
+            f" {times}: columns {first}{more}",
+            where=where,
+            hint="leave these columns out or add rows that cover them",
+        )
+    if cover.status == "infeasible" and (given.spacing or given.keep_share):
+        raise InputError(
+            "no choice of rows covers all targets under these conditions",
+            where=where,
+            hint="lower --spacing or --keep-share, or give a --budget or --price",
+        )
+    if cover.status == "infeasible":
+        raise InputError("no choice of one row for each group covers all targets", where=where)
+    if not math.isfinite(cover.objective):
+        raise InputError(
+            "no feasible choice was found in time",
+            where="--time-limit",
+            found=f"{given.time_limit:g} s",
+            hint="allow more time",
+        )
+
+
+def _second(given: CoverOptions, asked: Asked, cover: Cover) -> tuple[Cover, dict[str, Any]]:
+    """The rows that cover most targets once more for the same cost, and how far that is proven."""
+    if given.second is None:
+        return cover, {}
+    cover, found = chosen_again(asked.deployment, cover, WorkLimit(given.second))
+    proven = found.proven and cover.status == "optimal"
+    record = {
+        "covered_once_more": float(found.value[0]),
+        "bound_once_more": found.bound,
+        "covered_twice_more": float(found.value[1]),
+        "status": "optimal" if proven else "time_limit",
+    }
+    return cover, {"second": record}
+
+
+def _content(asked: Asked, cover: Cover) -> dict[str, Any]:
+    figures = {}
+    if not asked.plain:  # cost and covered weight of the chosen rows
+        costs = np.asarray(asked.deployment.problem.costs)[cover.chosen]
+        covered = asked.deployment.guaranteed(cover.chosen)
+        figures = {"cost": math.fsum(costs), "covered": covered}
+    return {
+        "status": cover.status,
+        "objective": asked.deployment.shown(cover.objective),
+        "bound": asked.deployment.shown(cover.bound),
+        "gap": cover.gap,
+        "solver": cover.solver,
+        "solver_version": version(cover.solver),
+        "proved_by": cover.proved_by,
+        "chosen": cover.chosen.tolist(),
+        "seconds_cpu": cover.seconds_cpu,
+        "lp_bound": cover.lp_bound,
+        "nodes": cover.nodes,
+        "reductions": cover.reductions,
+        **figures,
+    }
+
+
+def _curve(given: CoverOptions, points: int, asked: Asked, cover: Cover) -> list[dict[str, Any]]:
+    """Coverage of budgets up to the cost of the answer, or up to the budget."""
+    deployment = asked.deployment
+    charge = deployment.charge
+    most = deployment.budget if asked.counts else math.fsum(charge[cover.chosen])
+    least = max(math.fsum(charge[deployment.problem.mandatory]), float(charge.min(initial=most)))
+    budgets = spread_budgets(min(least, most), most, points, objective_step(charge))
+    curve = coverage_curve(
+        deployment, budgets, given.time_limit, given.seed, known=[cover.chosen], solver=given.solver
+    )
+    return [
+        {
+            "budget": p.budget,
+            "cost": p.spent,
+            "covered": p.value,
+            "bound": p.bound,
+            "status": p.status,
+            "chosen": p.chosen.tolist(),
+        }
+        for p in curve
+    ]
 
 
 VERB = Verb("cover", "choose sensors: least cost, or most for a budget", run)

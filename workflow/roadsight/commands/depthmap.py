@@ -11,8 +11,7 @@ from roadsight.api.sight import CATALOGUE, in_company_of, points_in_reach
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import DepthModel, Lidar
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.io.images.models import network_for
 from roadsight.io.records.atomic import atomic_path
 from roadsight.placement.depth.surfel_lidar import lidar_of_points

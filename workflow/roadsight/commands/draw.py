@@ -14,8 +14,7 @@ from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.checks import MISSED, NONE, POLE, draw, strata
 
-DEGREES = ("latitude", "longitude")
-"""Columns of places in degrees, WGS 84."""
+DEGREES = ("latitude", "longitude")  # columns of places in degrees, WGS 84
 _METRES = ("x", "y")
 
 
@@ -45,7 +44,11 @@ def run(
         raise InputError("nothing to draw", where="--count", found=poles, allowed="1 or more")
     if seed < 0:
         raise InputError("is negative", where="--seed", found=seed, allowed="0 or more")
-    _keep_verdicts(out)
+    if out.exists():  # what somebody has filled in stays
+        before = read_text_table(str(out))
+        if "verdict" in before and any(before["verdict"].fillna("").astype(str).str.strip()):
+            hint = "give another file, or remove this one"
+            raise InputError("holds verdicts", where=str(out), hint=hint)
     names = strata(table[by])
     rows = draw(names, count, np.random.default_rng(seed))
     drawn = table.iloc[rows]
@@ -70,16 +73,6 @@ def run(
         " the file; rows without a verdict\ndo not count; then: roadsight score"
         f" {out}"
     )
-
-
-def _keep_verdicts(sheet: Path) -> None:
-    """Refuse to write over what somebody has filled in."""
-    if not sheet.exists():
-        return
-    before = read_text_table(str(sheet))
-    if "verdict" in before and (before["verdict"].fillna("").astype(str).str.strip() != "").any():
-        hint = "give another file, or remove this one"
-        raise InputError("holds verdicts", where=str(sheet), hint=hint)
 
 
 def axes_of(table: pd.DataFrame, path: str, before: str) -> tuple[str, str]:

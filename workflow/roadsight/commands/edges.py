@@ -9,9 +9,8 @@ import geopandas as gpd
 
 from roadsight.api.scene import edges
 from roadsight.base.errors import InputError
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.pavement import Search
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.io.vector.vectors import write_layers
 
 

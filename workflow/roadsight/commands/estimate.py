@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from roadsight.config.load import ResolvedSite, load_config, load_site
 from roadsight.evidence.costs import Amounts
 from roadsight.evidence.estimate import (
     SHIPPED,
-    CostTable,
     Estimate,
     estimate,
     fit_costs,
@@ -32,14 +31,12 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import write_json
 
 log = logging.getLogger("roadsight")
-
+# A million times this is the largest number that any option takes; what is larger is a slip.
 _MOST_MILES = 1e7
-"""A million times this is the largest number that any option takes; what is larger is a slip."""
-_MILE_M = 1609.344
-"""An international mile."""
+_MILE_M = 1609.344  # an international mile
+# A degree on a sphere of the Earth's mean radius, for clouds in degrees. Along a parallel it is
+# shorter, which an estimate can bear.
 _DEGREE_M = 111_195.0
-"""A degree on a sphere of the Earth's mean radius, for clouds in degrees. Along a parallel it is
-shorter, which an estimate can bear."""
 
 
 Job = Literal["placement", "poles"]
@@ -79,45 +76,46 @@ def run(
     """
     table = read_costs(costs)
     if fit:
-        _refit(fit, out, table)
+        if out is None:
+            raise InputError("needs -o, the JSON file to write", where="--fit")
+        fitted = fit_costs(fit, table.dag)
+        write_costs(out, fitted)
+        for site, ratio in fitted["held_out"]["predicted_by_actual"].items():
+            log.info("%s, held out: predicted by actual processor time %.2f", site, ratio)
         return
     _check(sites, asked)
-    if asked.miles is None:
-        found = [_of_site(name, table, asked) for name in sites]
-    else:
-        found = [("road", *_of_miles(table, asked.miles, asked))]
+    names = ("points_m", "candidates", "targets", "images", "sensors", "plans", "shards")
+    stated = {name: getattr(asked, name) for name in names if getattr(asked, name) is not None}
+    wanted: list[tuple[str, Amounts, Sequence[str], int]] = []  # name, of a run, jobs, runs
+    if asked.miles is not None:
+        runs, amounts = runs_of(asked.miles, asked.run_miles, stated)
+        wanted.append(("road", amounts, asked.job or ("placement", "poles"), runs))
+    for name in sites:
+        site = load_site(name, load_config(read_yaml("config/config.yaml")))
+        jobs = asked.job or [job for job in site.site.jobs if job != "scene"]
+        wanted.append((site.site.site, replace(_amounts(site), **stated), jobs, 1))
+    common = table.steps, table.stored, table.dag
+    found = [
+        (name, amounts, estimate(*common, amounts, tuple(jobs), runs, asked.cores))
+        for name, amounts, jobs, runs in wanted
+    ]
+    factor = table.factor if math.isfinite(table.factor) else None
+    content = []
     for name, amounts, result in found:
         print(_text(name, amounts, result, table.factor))
+        totals = {key: getattr(result, key) for key in ("core_h", "jobs", "peak_mib")}
+        about = {"name": name, "amounts_a_run": asdict(amounts), "factor": factor}
+        content.append({**about, **asdict(result), **totals})
     if out:
-        content = [_content(name, amounts, result, table.factor) for name, amounts, result in found]
         write_json(out, content)
-
-
-def _refit(results: Sequence[Path], out: Path | None, table: CostTable) -> None:
-    if out is None:
-        raise InputError("needs -o, the JSON file to write", where="--fit")
-    content = fit_costs(results, table.dag)
-    write_costs(out, content)
-    for site, ratio in content["held_out"]["predicted_by_actual"].items():
-        log.info("%s, held out: predicted by actual processor time %.2f", site, ratio)
 
 
 def _check(sites: Sequence[str], asked: Asked) -> None:
     if bool(sites) == (asked.miles is not None):
         raise InputError("give either sites or --miles", where="roadsight estimate")
-    for name in (
-        "miles",
-        "run_miles",
-        "points_m",
-        "candidates",
-        "targets",
-        "images",
-        "sensors",
-        "plans",
-        "shards",
-        "cores",
-    ):
-        value = getattr(asked, name)
+    for name, value in vars(asked).items():
+        if name == "job":
+            continue
         least = 0.0 if name in ("points_m", "candidates", "targets", "images") else 1e-6
         if value is not None and not least <= value <= _MOST_MILES * 1e6:
             raise InputError(
@@ -126,28 +124,6 @@ def _check(sites: Sequence[str], asked: Asked) -> None:
                 found=value,
                 allowed=f"{least:g} or more",
             )
-
-
-def _stated(asked: Asked) -> dict[str, Any]:
-    """Amounts that the command line states."""
-    names = ("points_m", "candidates", "targets", "images", "sensors", "plans", "shards")
-    stated = {name: getattr(asked, name) for name in names}
-    return {name: value for name, value in stated.items() if value is not None}
-
-
-def _of_miles(table: CostTable, miles: float, asked: Asked) -> tuple[Amounts, Estimate]:
-    """Equal runs that together are so many miles."""
-    runs, amounts = runs_of(miles, asked.run_miles, _stated(asked))
-    jobs = tuple(asked.job or ("placement", "poles"))
-    return amounts, _estimate(table, amounts, jobs, runs, asked.cores)
-
-
-def _of_site(name: str, table: CostTable, asked: Asked) -> tuple[str, Amounts, Estimate]:
-    """One run of a site of the configuration."""
-    site = load_site(name, load_config(read_yaml("config/config.yaml")))
-    amounts = replace(_amounts(site), **_stated(asked))
-    jobs = tuple(asked.job or [job for job in site.site.jobs if job != "scene"])
-    return site.site.site, amounts, _estimate(table, amounts, jobs, 1, asked.cores)
 
 
 def _amounts(site: ResolvedSite) -> Amounts:
@@ -161,7 +137,9 @@ def _amounts(site: ResolvedSite) -> Amounts:
         points_m = (sample.points if sample.scene == "highway" else 3_200 * length_m) / 1e6
     images: float = 0
     if "poles" in site.site.jobs:
-        images = 0.45 * length_m if sample else _count_images(site)
+        images = 0.45 * length_m
+        if not sample:
+            images = len(ImageSource(site.beside(site.site.poles.images) or "").names())
     miles = length_m / _MILE_M
     sensors = {name for plan in site.plans.values() for name in plan.sensors}
     return Amounts(
@@ -185,28 +163,6 @@ def _length_m(clouds: Sequence[CloudHeader]) -> float:
         return float(np.hypot(*(high - low)))
     unit_m = _DEGREE_M if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
     return float(np.hypot(*(high - low)) * unit_m)
-
-
-def _count_images(site: ResolvedSite) -> int:
-    return len(ImageSource(site.beside(site.site.poles.images) or "").names())
-
-
-def _estimate(
-    table: CostTable, amounts: Amounts, jobs: Sequence[str], runs: int, cores: int
-) -> Estimate:
-    return estimate(table.steps, table.stored, table.dag, amounts, tuple(jobs), runs, cores)
-
-
-def _content(name: str, amounts: Amounts, result: Estimate, factor: float) -> dict[str, Any]:
-    totals = {key: getattr(result, key) for key in ("core_h", "jobs", "peak_mib")}
-    known = factor if math.isfinite(factor) else None
-    return {
-        "name": name,
-        "amounts_a_run": asdict(amounts),
-        "factor": known,
-        **asdict(result),
-        **totals,
-    }
 
 
 def _text(name: str, amounts: Amounts, result: Estimate, factor: float) -> str:

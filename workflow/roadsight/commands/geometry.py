@@ -12,9 +12,8 @@ import shapely
 from roadsight.api.scene import ground
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.pavement import Search
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.vector.vector_sources import load_local
@@ -23,14 +22,13 @@ from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Roads, road_along
 from roadsight.poles.risk.roadside import Surroundings, geometry_table
 from roadsight.scene.splines import outline_edges, spline_line
-from roadsight.scene.whole import FoundRoad, heights_of
+from roadsight.scene.whole import heights_of
 from roadsight.stages.poles.shared.hazard_layers import GEOMETRY, geometry_lines, rounded
 
-_EDGE_STEP_M = 0.25
-"""Spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)."""
+_EDGE_STEP_M = 0.25  # spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)
+# Areas nearer to each other than this are one pavement: neighbours that were digitised each by
+# itself lie centimetres apart, a gutter is 0.3 m wide, and no median is so narrow.
 _SLIVER_M = 0.3
-"""Areas nearer to each other than this are one pavement: neighbours that were digitised each by
-itself lie centimetres apart, a gutter is 0.3 m wide, and no median is so narrow."""
 
 
 def run(
@@ -62,7 +60,10 @@ def run(
     labelled = ground(cloud)
     if paved.is_empty:
         road = search.road(cloud, labelled)
-        known, paved = known or _traced(road), road.outline
+        paved = road.outline
+        if not known:
+            traced = outline_edges(road.outline, road.surface_m, Edges(offset_m=0.0))
+            known = [spline_line(line) for _, line in traced]
     points = shapely.get_coordinates(shapely.segmentize(known, _EDGE_STEP_M))
     shapely.prepare(paved)
     roads = [
@@ -96,20 +97,8 @@ def run(
         print(f"{name}: {len(own)} stations, paved width known at {share:.0%}: {out}")
 
 
-def _traced(road: FoundRoad) -> list[shapely.Geometry]:
-    """Edges of the pavement that the cloud shows."""
-    found = outline_edges(road.outline, road.surface_m, Edges(offset_m=0.0))
-    return [spline_line(line) for _, line in found]
-
-
 def _known(path: Path, frame: Frame) -> tuple[list[shapely.Geometry], shapely.Geometry]:
-    """Edges of a user, lines or outlines of areas, and these areas as one, empty without any.
-
-    Raises
-    ------
-    InputError : as `load_local`, or a feature is neither line nor area, or crosses itself, or some
-        are lines and others areas.
-    """
+    """Edges of a user, lines or outlines of areas, and these areas as one, empty without any."""
     shapes = shapely.force_2d(load_local(path, frame).geometry.to_numpy())
     for number, shape in enumerate(shapes, start=1):
         check_shape(shape, (*LINES, *AREAS), f"{path}, feature {number}")

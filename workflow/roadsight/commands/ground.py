@@ -8,8 +8,7 @@ from typing import Annotated
 from roadsight.api.clouds import labels_of, write_labelled
 from roadsight.api.scene import ground
 from roadsight.base.sections.scene import GroundFilter
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 
 
 def run(

@@ -13,8 +13,7 @@ from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement
 from roadsight.base.seeds import SEED
-from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.io.vector.known import read_seeds, read_track
 from roadsight.scene.whole import FoundRoad
 

@@ -19,7 +19,7 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.sighting_tables import read_text_table
 from roadsight.io.records.tables import read_table
-from roadsight.poles.alignment.drive import Place, places_of
+from roadsight.poles.alignment.drive import places_of
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.calibration.registration import (
@@ -48,7 +48,7 @@ def run(
     if out.suffix.lower() != ".json":
         raise InputError("is no name for it", where=f"--out {out}", allowed=".json")
     _check_counts(pairs_path)
-    from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
+    from roadsight.api.alignment import Chain  # noqa: PLC0415  # slow to load
     from roadsight.stages.command import told_clearly  # noqa: PLC0415  # of the same
 
     with told_clearly("register"), tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
@@ -58,18 +58,38 @@ def run(
         chain.road()
         frame = Frame.from_dict(read_json(chain.frame))
         pairs = _on_ground(read_pairs(pairs_path, frame), chain.dem, frame)
-        places = _places(chain.frames, chain.road_edges)
+        frames = read_table(chain.frames)
+        frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
+        edges = RoadEdges.from_points(
+            read_table(chain.road_edges, ["x", "y", "z"]).to_numpy(np.float64)
+        )
+        found_places = places_of(frames.reset_index(drop=True), edges)
+        places = {place.image: place for place in found_places}
     found: dict[str, list[tuple[Registration, Start]]] = {}
-    for image, own in pairs.groupby("image", sort=True):
-        start = _start(places, str(image), pairs_path)
-        registration = _registered(own, start, f"{pairs_path}: {image}")
-        found.setdefault(f"{start.width_px}x{start.height_px}", []).append((registration, start))
-        _tell(str(image), own, registration)
-    content = {size: baseline(images) for size, images in found.items()}
+    for image, own in ((str(name), own) for name, own in pairs.groupby("image", sort=True)):
+        if image not in places:
+            raise InputError(
+                "an image of the pairs is not in the videolog, or not usable there",
+                where=pairs_path,
+                found=image,
+                allowed=f"{len(places)} images",
+            )
+        start = places[image].start
+        size = start.width_px, start.height_px
+        try:
+            registration = register_camera(own[["u", "v"]], own[["x", "y", "z"]], *size)
+        except InputError as error:
+            raise InputError(str(error), where=f"{pairs_path}: {image}") from error
+        found.setdefault(f"{size[0]}x{size[1]}", []).append((registration, start))
+        flat = "; all places on one plane: the focal length rests on little"
+        print(f"{image}: {len(own)} pairs{flat if is_flat(own[['x', 'y', 'z']]) else ''}")
+        for (_, row), gap in zip(own.iterrows(), registration.residuals_px, strict=True):
+            print(f"  pixel {row['u']:.1f}, {row['v']:.1f}: off by {gap:.2f} px")
+    content = {name: baseline(images) for name, images in found.items()}
     write_json(out, content)
-    for size, one in content.items():
+    for name, one in content.items():
         print(
-            f"{size}: focal length {one['focal_px']:.1f} px, height {one['height_m']:.2f} m, "
+            f"{name}: focal length {one['focal_px']:.1f} px, height {one['height_m']:.2f} m, "
             f"yaw {one['yaw_deg']:.2f}, pitch {one['pitch_deg']:.2f}, roll {one['roll_deg']:.2f} "
             f"degrees; {one['pairs']} pairs within {one['rms_px']:.2f} px: {out}"
         )
@@ -107,45 +127,8 @@ def _on_ground(pairs: pd.DataFrame, dem: Path, frame: Frame) -> pd.DataFrame:
     return pairs.assign(z=np.where(open_, height, pairs["z"]))
 
 
-def _places(frames_path: Path, edges_path: Path) -> dict[str, Place]:
-    frames = read_table(frames_path)
-    frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
-    xyz = read_table(edges_path, ["x", "y", "z"]).to_numpy(np.float64)
-    places = places_of(frames.reset_index(drop=True), RoadEdges.from_points(xyz))
-    return {place.image: place for place in places}
-
-
-def _start(places: dict[str, Place], image: str, where: str) -> Start:
-    if image not in places:
-        raise InputError(
-            "an image of the pairs is not in the videolog, or not usable there",
-            where=where,
-            found=image,
-            allowed=f"{len(places)} images",
-        )
-    return places[image].start
-
-
-def _registered(own: pd.DataFrame, start: Start, where: str) -> Registration:
-    size = start.width_px, start.height_px
-    try:
-        return register_camera(own[["u", "v"]], own[["x", "y", "z"]], *size)
-    except InputError as error:
-        raise InputError(str(error), where=where) from error
-
-
-def _tell(image: str, own: pd.DataFrame, found: Registration) -> None:
-    """Alignment error of every pair."""
-    flat = "; all places on one plane: the focal length rests on little"
-    print(f"{image}: {len(own)} pairs{flat if is_flat(own[['x', 'y', 'z']]) else ''}")
-    for (_, row), gap in zip(own.iterrows(), found.residuals_px, strict=True):
-        print(f"  pixel {row['u']:.1f}, {row['v']:.1f}: off by {gap:.2f} px")
-
-
-# Clicked pairs of a pixel and a place, as a user's CSV table.
-
+# Names of the columns of a place: in the site's CRS, or in degrees.
 _PLACES = (("x", "y"), ("lon", "lat"), ("longitude", "latitude"))
-"""Names of the columns of a place: in the site's CRS, or in degrees."""
 
 
 def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
@@ -172,7 +155,16 @@ def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
         )
     numbers = table[["pixel_x", "pixel_y", *place]].apply(pd.to_numeric, errors="coerce")
     given = numbers.to_numpy(np.float64)
-    height = _heights(path, table)
+    height = np.full(len(table), np.nan)  # as given, NaN where left empty
+    if "z" in table:
+        text = table["z"].str.strip()
+        height = pd.to_numeric(text.where(text != ""), errors="coerce").to_numpy(np.float64)
+        wrong = (text != "").to_numpy() & ~np.isfinite(height)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                "z is no number", where=f"{path}, line {row + 2}", found=text.iloc[row]
+            )
     if place[0] == "x":
         xyz = frame.to_local(np.column_stack([given[:, 2:], height]))
     elif frame.crs_wkt is None:
@@ -191,19 +183,6 @@ def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
         )
     columns = {"u": given[:, 0], "v": given[:, 1], "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
     return pd.DataFrame({"image": table["image"].str.strip(), **columns})
-
-
-def _heights(path: str | os.PathLike[str], table: pd.DataFrame) -> np.ndarray:
-    """Heights (n,) as given, NaN where left empty."""
-    if "z" not in table:
-        return np.full(len(table), np.nan)
-    text = table["z"].str.strip()
-    height = pd.to_numeric(text.where(text != ""), errors="coerce").to_numpy(np.float64)
-    wrong = (text != "").to_numpy() & ~np.isfinite(height)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError("z is no number", where=f"{path}, line {row + 2}", found=text.iloc[row])
-    return height
 
 
 VERB = Verb("register", "solve a camera's baseline from clicked pairs", run)

@@ -19,8 +19,7 @@ from roadsight.io.records.sighting_tables import read_text_table
 from roadsight.poles.risk.checks import FEWEST, MISSED, NONE, POLE, score_checks
 
 _GEOD = Geod(ellps="WGS84")
-_TOLD_M = (3, 5, 7, 9)
-"""Thresholds that are printed: those of the study's table 2."""
+_TOLD_M = (3, 5, 7, 9)  # thresholds that are printed: those of the study's table 2
 
 
 def run(

@@ -12,10 +12,8 @@ from typing import Annotated
 
 from roadsight.commands.verb import Verb
 
-PORT = 8711
-"""Of the studio, unless the user names another."""
-_FOLDER = ".snakemake/roadsight"
-"""The studio's own files, beside Snakemake's, below the project."""
+PORT = 8711  # of the studio, unless the user names another
+_FOLDER = ".snakemake/roadsight"  # the studio's own files, beside Snakemake's, below the project
 
 
 def run(
@@ -29,8 +27,8 @@ def run(
     ------
     InputError : no project there, or the port is taken.
     """
-    from roadsight.studio.project import Project, find_project  # noqa: PLC0415
-    from roadsight.studio.server import LOOPBACK, create_app, listen, new_token  # noqa: PLC0415  # only this verb needs it  # noqa: PLC0415
+    from roadsight.studio.project import Project, find_project  # noqa: PLC0415  # of this verb only
+    from roadsight.studio.server import LOOPBACK, create_app, listen, new_token  # noqa: PLC0415
 
     root = find_project(folder)
     os.chdir(root)

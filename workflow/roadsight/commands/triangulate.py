@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
-from roadsight.commands.verb import Verb
+from roadsight.commands.verb import Verb, check_positive
 from roadsight.io.records.sighting_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import (
     looks_exchanged,
@@ -18,7 +17,7 @@ from roadsight.poles.triangulate.geographic import (
     triangulate_published,
 )
 from roadsight.poles.triangulate.published import PUBLISHED_DISTANCE
-from roadsight.poles.triangulate.rays import UNAIDED, TriangulationSettings
+from roadsight.poles.triangulate.rays import UNAIDED
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,11 @@ def run(
     ------
     InputError : the table or a value is not usable, or there are fewer than two sightings.
     """
-    settings = _settings(numbers, seed, not depths_as_given)
+    check_positive(vars(numbers))
+    if seed < 0:
+        raise InputError("is negative", where="--seed", found=seed, allowed="0 or more")
+    given = {**vars(numbers), "calibrate_depth": not depths_as_given}
+    settings = UNAIDED.model_copy(update=given)
     sightings = read_sightings(sightings_path)
     if len(sightings) < 2:
         raise InputError("fewer than two sightings", where=sightings_path, found=len(sightings))
@@ -79,17 +82,6 @@ def run(
     print(f"{len(poles)} poles from {len(sightings)} sightings: {out}")
     if not len(poles):
         print("no pole: " + "; ".join(reasons_for_none(sightings, settings)))
-
-
-def _settings(numbers: Numbers, seed: int, calibrate_depth: bool) -> TriangulationSettings:
-    values = vars(numbers)
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0):
-            flag = f"--{name.replace('_', '-')}"
-            raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
-    if seed < 0:
-        raise InputError("is negative", where="--seed", found=seed, allowed="0 or more")
-    return UNAIDED.model_copy(update={**values, "calibrate_depth": calibrate_depth})
 
 
 VERB = Verb("triangulate", "locate poles from sightings in images", run)

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from roadsight.io.records.sources import package_digest
 
-_PYC_HEADER_BYTES = 16
-"""What comes before the code in a compiled module (PEP 552)."""
+_PYC_HEADER_BYTES = 16  # what comes before the code in a compiled module (PEP 552)
+# What says how many threads each library starts.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS")
-"""What says how many threads each library starts."""
 _ALLOCATION = {
     # Arrow takes memory from where NumPy does, so that each uses again what the other has freed.
     "ARROW_DEFAULT_MEMORY_POOL": "system",

@@ -19,8 +19,7 @@ from roadsight.config.sites import Site
 from roadsight.effects.catalogue import check_names, load_catalogue
 from roadsight.io.vector.layer_names import split_layer
 
-SITES = Path("config/sites")
-"""Where sites are that are named without a path."""
+SITES = Path("config/sites")  # where sites are that are named without a path
 
 
 @dataclass(frozen=True)
@@ -129,31 +128,35 @@ def resolve_site(content: Any, file: Path, config: Config) -> ResolvedSite:
     settings = validated(Settings, merged(base, site.settings), f"{file}: settings")
     settings = validated(Settings, merged(settings.model_dump(), config.overrides), "overrides")
     check_names(settings.effect_modes, load_catalogue(config.effects_file), f"{file}: effects")
-    plans = _plans(site, file, config)
+    own_plans, plans_file = site.placement.own_plans, Path(config.plans_file)
+    general = load_plans(config.plans_file, config.sensors_file)
+    check_sensors(own_plans, config.sensors_file, f"{file}: placement.own_plans")
+    plans = {
+        name: plan.located(lambda path: str(_located(path, plans_file)))
+        for name, plan in general.items()
+    } | {
+        name: plan.located(lambda path: str(_located(path, file)))
+        for name, plan in own_plans.items()
+    }
     everyday = [name for name, plan in plans.items() if not plan.on_request]
     named = site.placement.plans if site.placement.plans is not None else everyday
     _check_plans(named, plans, f"{file}: placement.plans")
-    own = [name for name, plan in site.placement.own_plans.items() if not plan.on_request]
+    own = [name for name, plan in own_plans.items() if not plan.on_request]
     chosen = list(dict.fromkeys([*named, *own]))
     if config.plans:
         chosen = config.plans
         _check_plans(chosen, plans, "plans")
-    _check_solver(settings, {name: plans[name] for name in chosen})
+    solved = {name: plans[name] for name in chosen}
+    for setting in ("solver", "verify"):
+        for name, plan in solved.items():
+            if getattr(settings.cover, setting) == "highs" and plan.availability is not None:
+                raise InputError(
+                    f"highs cannot state the availability of plan {name!r} in one program",
+                    where=f"cover.{setting}",
+                    hint=f"leave cover.{setting} out, or the plan's availability",
+                )
     clouds = [str(_located(cloud, file)) for cloud in site.clouds]
-    return ResolvedSite(site, settings, file, clouds, {name: plans[name] for name in chosen})
-
-
-def _plans(site: Site, file: Path, config: Config) -> dict[str, Plan]:
-    """Plans of the plans file and of the site, the files of their options located."""
-    general, own = load_plans(config.plans_file, config.sensors_file), site.placement.own_plans
-    check_sensors(own, config.sensors_file, f"{file}: placement.own_plans")
-    plans = {
-        name: plan.located(lambda path: str(_located(path, Path(config.plans_file))))
-        for name, plan in general.items()
-    }
-    return plans | {
-        name: plan.located(lambda path: str(_located(path, file))) for name, plan in own.items()
-    }
+    return ResolvedSite(site, settings, file, clouds, solved)
 
 
 def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
@@ -162,18 +165,6 @@ def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
     for name in chosen:
         if name not in plans:
             raise InputError(f"unknown plan {name!r}", where=where, allowed=", ".join(plans))
-
-
-def _check_solver(settings: Settings, plans: Mapping[str, Plan]) -> None:
-    """Refuse plans that HiGHS cannot state as one integer program."""
-    for setting in ("solver", "verify"):
-        for name, plan in plans.items():
-            if getattr(settings.cover, setting) == "highs" and plan.availability is not None:
-                raise InputError(
-                    f"highs cannot state the availability of plan {name!r} in one program",
-                    where=f"cover.{setting}",
-                    hint=f"leave cover.{setting} out, or the plan's availability",
-                )
 
 
 def merged(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,8 +12,7 @@ from roadsight.base.errors import InputError, nearest
 from roadsight.base.section import Count, Metres, Name, Section, validated
 from roadsight.base.texts import read_yaml
 
-# What a deployment plan may ask for beyond the fewest sensors that see everything.
-
+FILES = ("areas", "forbidden", "mandatory", "poles")  # options that name a file
 Money = Annotated[float, Field(ge=0, le=1e12)]
 
 
@@ -175,7 +174,11 @@ def check_sensors(plans: dict[str, Plan], sensors_file: str, where: str) -> None
     ------
     InputError : one does not.
     """
-    known = _sensor_names(sensors_file)
+    content = read_yaml(sensors_file)
+    sensors = content.get("sensors") if isinstance(content, dict) else None
+    if not isinstance(sensors, dict):
+        raise InputError("lacks the mapping 'sensors' of names to definitions", where=sensors_file)
+    known = [str(name) for name in sensors]
     for name, plan in plans.items():
         for sensor in plan.sensors:
             if sensor not in known:
@@ -184,15 +187,3 @@ def check_sensors(plans: dict[str, Plan], sensors_file: str, where: str) -> None
                     where=where,
                     hint=f"{nearest(sensor, known)} (sensors are defined in {sensors_file})",
                 )
-
-
-def _sensor_names(sensors_file: str) -> list[str]:
-    content = read_yaml(sensors_file)
-    sensors = content.get("sensors") if isinstance(content, dict) else None
-    if not isinstance(sensors, dict):
-        raise InputError("lacks the mapping 'sensors' of names to definitions", where=sensors_file)
-    return [str(name) for name in sensors]
-
-
-FILES = ("areas", "forbidden", "mandatory", "poles")
-"""Options that name a file."""

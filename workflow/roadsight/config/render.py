@@ -15,6 +15,7 @@ _HEAD = """\
 # Settings of roadsight. Generated from the schema by `make config`: a site file may override any of
 # them under `settings:`, and `snakemake --configfile my.yaml` any of them for all sites.
 """
+# Settings that come first, before the sections; the rest keeps the order of the schema.
 _FIRST = (
     "sites",
     "sensors_file",
@@ -24,7 +25,6 @@ _FIRST = (
     "plans",
     "overrides",
 )
-"""Settings that come first, before the sections; the rest keeps the order of the schema."""
 
 
 def render_config() -> str:

@@ -13,8 +13,8 @@ from roadsight.base.sections.run import Sample
 from roadsight.config.plans import Plan
 from roadsight.geometry.crs import Unit
 
+# Kind and place of an object in the way, such as tree+115+140 (`placement/sight/objects.py`).
 ObjectName = Annotated[str, Field(pattern=r"^[a-z]+[+-]\d+[+-]\d+(-\d+)?$")]
-"""Kind and place of an object in the way, such as tree+115+140 (`placement/sight/objects.py`)."""
 
 
 def _known(text: str) -> str:
@@ -28,14 +28,11 @@ def _known(text: str) -> str:
     return text
 
 
-def _known_of_cloud(text: str) -> str:
-    return text if text in ("auto", "local") else _known(text)
-
-
-CrsText = Annotated[str, AfterValidator(_known)]
-"""EPSG code, WKT, or whatever else PROJ reads."""
-CloudCrs = Annotated[str, AfterValidator(_known_of_cloud)]
-"""The same; or auto, the file's own, or local."""
+CrsText = Annotated[str, AfterValidator(_known)]  # EPSG code, WKT, or whatever else PROJ reads
+# The same; or auto, the file's own, or local.
+CloudCrs = Annotated[
+    str, AfterValidator(lambda text: text if text in ("auto", "local") else _known(text))
+]
 
 
 class Extent(Section):

@@ -15,19 +15,17 @@ import numpy as np
 
 from roadsight.base.errors import InputError
 from roadsight.config.schema import Settings
-from roadsight.geometry.crs import StatedCrs, unit_name
+from roadsight.geometry.crs import unit_name
 from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
 from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
-from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.repeated import check_copies
 from roadsight.placement.candidates.targets import points_needed
 from roadsight.scene.classes import CLASS_NAMES
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
-_DATA_VARIABLE = "ROADSIGHT_DATA"
-"""Environment variable that names the folder of a user's clouds."""
+_DATA_VARIABLE = "ROADSIGHT_DATA"  # environment variable that names the folder of a user's clouds
 _LETTERS = {
     "äöüßøæœþłđðı": "ae oe ue ss oe ae oe th l d d i",
     "абвгдеёжзийклмнопрстуфхцчшщъыьэюяіїєґ": (
@@ -35,6 +33,7 @@ _LETTERS = {
     ),
     "αβγδεζηθικλμνξοπρσςτυφχψω": "a v g d e z i th i k l m n x o p r s s t y f ch ps o",
 }
+# Letters that names of folders do without, as passports write them.
 _WRITTEN_OUT = str.maketrans(
     {
         letter: plain.strip("_")
@@ -42,17 +41,16 @@ _WRITTEN_OUT = str.maketrans(
         for letter, plain in zip(letters, written.split(), strict=True)
     }
 )
-"""Letters that names of folders do without, as passports write them."""
 
 
+# Plans of a first run: two sensors that most roads can be covered with.
 FIRST_PLANS = ("os-64", "os-128")
-"""Plans of a first run: two sensors that most roads can be covered with."""
-FIRST_SPACING_M = (8.0, 2.0)
-"""Metres between its candidates, along edges and in height: on an airborne arterial of 1 million
-points 1,490 candidates instead of 11,488."""
-FIRST_LIMIT_S = 5.0
-"""Limit of its covers; what is not proven by then has a bound. The arterial's plans
-have 26 and 51 sensors (at least 24 and 47), as with 20 s."""
+# Metres between its candidates, along edges and in height: on an airborne arterial of 1 million
+# points 1,490 candidates instead of 11,488.
+_FIRST_SPACING_M = (8.0, 2.0)
+# Limit of its covers; what is not proven by then has a bound. The arterial's plans have 26 and 51
+# sensors (at least 24 and 47), as with 20 s.
+_FIRST_LIMIT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -115,14 +113,14 @@ def start_site(
     check_copies(clouds)
     contents = Contents()
     scans = [scan_cloud(cloud, take=contents.take) for cloud in clouds]
-    findings, unit_m = find_keys(scans)
+    findings, unit_m = _find_keys(scans)
     findings |= {
         key: Finding(json.dumps(value), "as given")
         for key, value in (given or {}).items()
         if key in findings
     }
     density_m2 = None if unit_m is None else _density(scans, unit_m)
-    found = describe_clouds(scans, contents, unit_m, density_m2)
+    found = _describe_clouds(scans, contents, unit_m, density_m2)
     notes = [
         f"{scan.header.path.name}: {note}"
         for scan in scans
@@ -179,16 +177,10 @@ def site_name(text: str, where: str = "--site") -> str:
     return name
 
 
-def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | None]:
+def _find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | None]:
     """CRS and unit keys of the site file: found, assumed, or required of the user.
 
-    Returns
-    -------
-    findings by key, and metres in one unit of x and y, or None while that is open
-
-    Raises
-    ------
-    InputError : the clouds contradict each other, or their CRS is of no use for lengths.
+    Also metres in one unit of x and y, or None while that is open.
     """
     auto = Finding(
         "auto",
@@ -197,7 +189,11 @@ def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | N
     )
     missing = next((scan.header for scan in scans if scan.header.stated.crs is None), None)
     if missing is not None:
-        return {"crs": _missing_crs(missing), "units": auto, "vertical_units": auto}, None
+        problem = f" ({missing.stated.problem})" if missing.stated.problem else ""
+        reason = f"{missing.path.name} names no CRS{problem}"
+        comment = f"EPSG code, WKT, or local for a cloud without one: {reason}"
+        crs = Finding("null", comment, True)
+        return {"crs": crs, "units": auto, "vertical_units": auto}, None
     stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
     lower, upper = _corners(scans)
     centre = centre_of(lower, upper)
@@ -212,28 +208,14 @@ def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | N
     except InputError as error:
         crs = Finding("null", f"the header's own cannot be right: {error}", True)
     units = Finding("auto", f"auto takes that of the CRS, here {unit_name(reference.unit_m)}")
-    vertical = _vertical_units(stated, centre)
+    try:
+        read = resolve(stated, centre, UnitChoice())
+        here = "; ".join([f"here {unit_name(read.vertical_unit_m)}", *read.notes])
+        vertical = Finding("auto", here)
+    except InputError as error:
+        vertical = Finding("auto", str(error), True)
     unit_m = None if crs.required else reference.unit_m
     return {"crs": crs, "units": units, "vertical_units": vertical}, unit_m
-
-
-def _missing_crs(header: CloudHeader) -> Finding:
-    """What to say where a header names no CRS."""
-    problem = f" ({header.stated.problem})" if header.stated.problem else ""
-    reason = f"{header.path.name} names no CRS{problem}"
-    return Finding("null", f"EPSG code, WKT, or local for a cloud without one: {reason}", True)
-
-
-def _vertical_units(
-    stated: Sequence[tuple[str, StatedCrs]], centre: tuple[float, float]
-) -> Finding:
-    """Unit of z as it would be read, or why it has to be stated."""
-    try:
-        reference = resolve(stated, centre, UnitChoice())
-    except InputError as error:
-        return Finding("auto", str(error), True)
-    unit = unit_name(reference.vertical_unit_m)
-    return Finding("auto", "; ".join([f"here {unit}", *reference.notes]))
 
 
 def site_text(
@@ -247,7 +229,7 @@ def site_text(
     found = "\n".join(_comment(sentence) for sentence in contents)
     paths = "\n".join(f"  - {json.dumps(cloud, ensure_ascii=False)}" for cloud in clouds)
     keys = "\n".join(finding.lines(key) for key, finding in findings.items())
-    (along, up), usual = FIRST_SPACING_M, Settings()
+    (along, up), usual = _FIRST_SPACING_M, Settings()
     spacing = (
         f"{usual.candidates.spacing_m:g} m along edges, {usual.candidates.height_step_m:g} m up"
     )
@@ -285,7 +267,7 @@ settings:
   # Few candidates, for a quick first answer; usual are {spacing}.
   candidates: {{spacing_m: {along:g}, height_step_m: {up:g}}}
   # Usual are {usual.cover.time_limit_s:g} s. A plan that is not proven by then has a bound.
-  cover: {{time_limit_s: {FIRST_LIMIT_S:g}}}
+  cover: {{time_limit_s: {_FIRST_LIMIT_S:g}}}
   coverage:
     # The same for candidates added where too little is seen; usual are {usual.coverage.shards}.
     shards: 1
@@ -299,16 +281,10 @@ settings:
 """
 
 
-def describe_clouds(
+def _describe_clouds(
     scans: Sequence[CloudScan], contents: Contents, unit_m: float | None, density_m2: float | None
 ) -> list[str]:
-    """Extent, density, classes and other contents, one sentence each.
-
-    Parameters
-    ----------
-    unit_m : metres in one unit of x and y, or None if it is not known.
-    density_m2 : points per m2, None if it is not known.
-    """
+    """Extent, density, classes and other contents, one sentence each."""
     lower, upper = _corners(scans)
     length = unit_m or 1.0
     unit = "m" if unit_m else "units of the cloud"

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from roadsight.base.section import Count, Metres, Section, Share
+from roadsight.base.section import Count, Degrees, Metres, Section, Share
 
 
 class Candidates(Section):
@@ -104,22 +104,15 @@ class Cover(Section):
         return self
 
 
-# Schema of the poses in which sensors are tried at each candidate.
-
-Yaw = Annotated[float, Field(ge=-180, le=180)]
-
 Pitch = Annotated[float, Field(ge=-90, le=90)]
-
-Angles = Annotated[list[Yaw], Field(min_length=1, max_length=72)]
-
-Pitches = Annotated[list[Pitch], Field(min_length=1, max_length=36)]
+Angles = Annotated[list[Degrees], Field(min_length=1, max_length=72)]
 
 
 class PoseGrid(Section):
     """Angles of one kind of sensor, degrees, of which every combination is tried."""
 
     yaw_deg: Angles = Field(description="from the road's normal, to the left")
-    pitch_deg: Pitches = Field(description="upwards")
+    pitch_deg: list[Pitch] = Field(min_length=1, max_length=36, description="upwards")
     roll_deg: Angles = Field(description="right side up")
 
 
@@ -147,9 +140,6 @@ class Poses(Section):
     panorama_step_deg: float = Field(
         default=0.2, ge=0.02, le=2, description="beams of the depth map that judges poses, degrees"
     )
-
-
-# Schema of the weather and the traffic in which sensors work.
 
 
 class Traffic(Section):

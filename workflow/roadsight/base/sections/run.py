@@ -17,9 +17,6 @@ class Run(Section):
     shards: Count = Field(default=4, description="shards of depth maps, detections and images")
 
 
-# Settings of the sites that the workflow generates itself, with known truth.
-
-
 class HighwayScene(Section):
     """A highway with exactly known surfaces."""
 

@@ -9,12 +9,10 @@ from pydantic import Field
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section, Share
 
-NoneOrMetres = Annotated[float, Field(ge=0, le=1000)]
-"""A length that 0 switches off."""
-Thinning = Literal["columns", "voxels"]
-"""What ground points are thinned to."""
+NoneOrMetres = Annotated[float, Field(ge=0, le=1000)]  # a length that 0 switches off
+Thinning = Literal["columns", "voxels"]  # what ground points are thinned to
+# What is done with points that are flagged as overlap of flight lines.
 Overlap = Literal["use", "leave_out"]
-"""What is done with points that are flagged as overlap of flight lines."""
 
 
 class Scene(Section):

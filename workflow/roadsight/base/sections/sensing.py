@@ -9,11 +9,9 @@ from pydantic import Field, field_validator, model_validator
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section
 
-Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
-"""a and b of p = a ln(n) + b."""
-
+Curve = Annotated[list[float], Field(min_length=2, max_length=2)]  # a and b of p = a ln(n) + b
+# Ways to a depth map (`roadsight.placement.depth.unet`).
 DepthModel = Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"]
-"""Ways to a depth map (`roadsight.placement.depth.unet`)."""
 
 
 class TargetGrid(Section):

@@ -71,6 +71,9 @@ def chunk_of(
     classes = np.asarray(points.classification, np.uint8)
     flagged = "overlap" in names
     timed = times and "gps_time" in names
+    colour = None
+    if header.coloured:
+        colour = np.stack([np.asarray(points[name], np.uint16) for name in COLOURS], axis=1)
     return Chunk(
         xyz=native_xyz(points, header),
         intensity=np.asarray(points.intensity, np.uint16),
@@ -78,7 +81,7 @@ def chunk_of(
         return_number=np.asarray(points.return_number, np.uint8),
         number_of_returns=np.asarray(points.number_of_returns, np.uint8),
         withheld=np.asarray(points.withheld, bool),
-        colour=_colour(points) if header.coloured else None,
+        colour=colour,
         synthetic=np.asarray(points.synthetic, bool),
         overlap=np.asarray(points.overlap, bool) if flagged else classes == OVERLAP_CLASS,
         scan=np.asarray(points.point_source_id, np.uint16),
@@ -93,7 +96,3 @@ def native_xyz(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> Floa
         np.multiply(points[name], header.scale[axis], out=xyz[axis])
         xyz[axis] += header.offset[axis]
     return xyz.T
-
-
-def _colour(points: laspy.ScaleAwarePointRecord) -> NDArray[np.uint16]:
-    return np.stack([np.asarray(points[name], np.uint16) for name in COLOURS], axis=1)

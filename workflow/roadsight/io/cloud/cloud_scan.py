@@ -18,11 +18,8 @@ from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.point_filter import noisy
 from roadsight.io.records.sources import sha256
 
-OVERLAP = Scene().overlap
-"""What is done with points of overlapping flight lines where nobody says."""
-
+OVERLAP = Scene().overlap  # what is done with points of overlapping flight lines where nobody says
 Move = Callable[[Floats], Floats]
-
 Take = Callable[[str | os.PathLike[str], Chunk], None]
 
 

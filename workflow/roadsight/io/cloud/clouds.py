@@ -36,22 +36,17 @@ from roadsight.io.cloud.las_header import (
 )
 from roadsight.io.records.atomic import atomic_path
 
-CHUNK_POINTS = 125_000
-"""What is computed of so many points stays in the processor's cache."""
-
+CHUNK_POINTS = 125_000  # what is computed of so many points stays in the processor's cache
+# Points decoded at once: several chunks of a file, which threads decode beside each other. More
+# would take more memory.
 _DECODED_POINTS = 8 * CHUNK_POINTS
-"""Points decoded at once: several chunks of a file, which threads decode beside each other. More
-would take more memory."""
-
+# Step of written coordinates, in the cloud's own unit (a millimetre where that is the metre).
 _LAZ_SCALE = 0.001
-"""Step of written coordinates, in the cloud's own unit (a millimetre where that is the metre)."""
-
+# A fixed date of creation, so that the same points give the same bytes.
 _LAZ_DATE = date(2000, 1, 1)
-"""A fixed date of creation, so that the same points give the same bytes."""
-
-_DEGREES_PER_SCAN_ANGLE = 0.006
-"""Unit of the scan angle in point formats 6 to 10 (LAS 1.4)."""
-
+_DEGREES_PER_SCAN_ANGLE = 0.006  # unit of the scan angle in point formats 6 to 10 (LAS 1.4)
+# Fields that lead to waveforms, which are not carried along: they are places in a .wdp file, or in
+# the cloud's own, that a cloud written anew would not have.
 WAVEFORM = (
     "wavepacket_index",
     "wavepacket_offset",
@@ -61,11 +56,8 @@ WAVEFORM = (
     "y_t",
     "z_t",
 )
-"""Fields that lead to waveforms, which are not carried along: they are places in a .wdp file, or in
-the cloud's own, that a cloud written anew would not have."""
-
 _ALL_LAYERS = DecompressionSelection.all()
-
+# What a `Chunk` holds; time, angles and the producer's own fields stay compressed.
 _CHUNK_LAYERS = (
     DecompressionSelection.base()
     | DecompressionSelection.Z
@@ -75,7 +67,6 @@ _CHUNK_LAYERS = (
     | DecompressionSelection.RGB
     | DecompressionSelection.POINT_SOURCE_ID
 )
-"""What a `Chunk` holds; time, angles and the producer's own fields stay compressed."""
 
 # What laspy logs as an error also arrives as an exception, which becomes one message here.
 logging.getLogger("laspy").setLevel(logging.CRITICAL)
@@ -226,7 +217,13 @@ def _open(
             os.fspath(path), laz_backend=laspy.LazBackend.Lazrs, decompression_selection=layers
         ) as reader:
             reader.header.point_count = counted(Path(path))[0]
-            check_layers(Path(path), reader.header)
+            layered = _compressor(reader.header) == _LAYERED
+            if layered and _layered_chunks(Path(path), reader.header) is None:
+                raise InputError(
+                    "is damaged: a compressed layer reaches beyond its end",
+                    where=str(path),
+                    hint="copy or download it again",
+                )
             yield reader
     except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
@@ -272,7 +269,12 @@ def _new_header(
     header.system_identifier = header.generating_software = "roadsight"
     header.scales, header.offsets = np.full(3, _LAZ_SCALE), offset
     if frame.crs_wkt is not None:
-        header.vlrs.append(WktCoordinateSystemVlr(_las_wkt(CRS.from_wkt(frame.crs_wkt))))
+        crs = CRS.from_wkt(frame.crs_wkt)
+        try:  # WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it
+            text = crs.to_wkt("WKT1_GDAL")
+        except CRSError:
+            text = crs.to_wkt()
+        header.vlrs.append(WktCoordinateSystemVlr(text))
     carry(header, carried)
     header.global_encoding.wkt = True
     known = set(header.point_format.dimension_names)
@@ -294,14 +296,6 @@ def _new_header(
     return header
 
 
-def _las_wkt(crs: CRS) -> str:
-    """WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it."""
-    try:
-        return crs.to_wkt("WKT1_GDAL")
-    except CRSError:
-        return crs.to_wkt()
-
-
 def _las_name(name: str) -> str:
     """Name in LAS 1.4 of a dimension of an older LAS format."""
     return "scan_angle" if name == "scan_angle_rank" else name
@@ -320,40 +314,17 @@ def _las_values(name: str, values: NDArray) -> NDArray:
 # beside each other. In point formats 6 to 10 a chunk is made of layers, each preceded by its
 # size. The decoder sets that much memory aside, so one damaged size would cost gigabytes.
 
-_Chunks = list[tuple[int, int]]
-"""Points and bytes of each chunk."""
-
+_Chunks = list[tuple[int, int]]  # points and bytes of each chunk
+# Compressors of LAZ that write chunks: points one after the other, and layer by layer.
 _CHUNKED, _LAYERED = 2, 3
-"""Compressors of LAZ that write chunks: points one after the other, and layer by layer."""
-
-_LAZ_ITEMS_AT = 34
-"""Byte of the LAZ record at which the list of a point's items begins."""
-
+_LAZ_ITEMS_AT = 34  # byte of the LAZ record at which the list of a point's items begins
+# Points of a chunk: where one has more, chunks are not decoded beside each other, because their
+# memory would not be bounded.
 _LARGEST_CHUNK = 1_000_000
-"""Points of a chunk: where one has more, chunks are not decoded beside each other, because their
-memory would not be bounded."""
-
 # Layers of each kind of item: point, colour, colour with infrared, waveform; extra bytes have one
 # layer a byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-
-_EXTRA_BYTES = 14
-"""Kind of the item of extra bytes."""
-
-
-def check_layers(path: Path, header: laspy.LasHeader) -> None:
-    """Check that the layers of every chunk lie inside the file.
-
-    Raises
-    ------
-    InputError : they do not.
-    """
-    if _compressor(header) == _LAYERED and _layered_chunks(path, header) is None:
-        raise InputError(
-            "is damaged: a compressed layer reaches beyond its end",
-            where=str(path),
-            hint="copy or download it again",
-        )
+_EXTRA_BYTES = 14  # kind of the item of extra bytes
 
 
 def are_apart(path: Path, header: laspy.LasHeader) -> bool:
@@ -364,7 +335,15 @@ def are_apart(path: Path, header: laspy.LasHeader) -> bool:
     """
     if _compressor(header) not in (_CHUNKED, _LAYERED):
         return False
-    table = _table(path, header)
+    record = lazrs.LazVlr(_laz_record(header))
+    try:
+        with path.open("rb") as stream:
+            stream.seek(header.offset_to_point_data)
+            table: _Chunks = lazrs.read_chunk_table(stream, record)
+    except (lazrs.LazrsError, OSError):
+        return False
+    if table and not record.uses_variable_size_chunks():  # it has the last as full as the others
+        table[-1] = (header.point_count - (len(table) - 1) * record.chunk_size(), table[-1][1])
     small = all(0 < points <= _LARGEST_CHUNK and size > 0 for points, size in table)
     if len(table) < 2 or not small:
         return False
@@ -383,20 +362,6 @@ def _compressor(header: laspy.LasHeader) -> int:
 
 def _laz_record(header: laspy.LasHeader) -> bytes:
     return bytes(header.vlrs.get("LasZipVlr")[0].record_data)
-
-
-def _table(path: Path, header: laspy.LasHeader) -> _Chunks:
-    """What the file's table says of its chunks; none where it cannot be read."""
-    record = lazrs.LazVlr(_laz_record(header))
-    try:
-        with path.open("rb") as stream:
-            stream.seek(header.offset_to_point_data)
-            table: _Chunks = lazrs.read_chunk_table(stream, record)
-    except (lazrs.LazrsError, OSError):
-        return []
-    if table and not record.uses_variable_size_chunks():  # it has the last as full as the others
-        table[-1] = (header.point_count - (len(table) - 1) * record.chunk_size(), table[-1][1])
-    return table
 
 
 def _layered_chunks(path: Path, header: laspy.LasHeader) -> _Chunks | None:

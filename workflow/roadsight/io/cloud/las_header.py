@@ -21,59 +21,28 @@ from roadsight.geometry.crs import StatedCrs
 from roadsight.geometry.stated import stated_crs
 
 SUFFIXES = (".las", ".laz")
-
 COLOURS = ("red", "green", "blue")
-
-_WKT_RECORD = 2112
-"""Number of the record that holds a CRS as WKT (LAS 1.4)."""
-
+_WKT_RECORD = 2112  # number of the record that holds a CRS as WKT (LAS 1.4)
+# Number of the record that holds a CRS as WKT 2 (LAS 1.5; PDAL writes it into older files).
 _WKT_2_RECORD = 4224
-"""Number of the record that holds a CRS as WKT 2 (LAS 1.5; PDAL writes it into older files)."""
-
-_DOUBLES_RECORD = 34736
-"""Number of the record that holds numbers of GeoTIFF keys."""
-
-_TEXTS_RECORD = 34737
-"""Number of the record that holds texts of GeoTIFF keys."""
-
-_NEWEST_MINOR = 4
-"""Second number of the newest version that is read, LAS 1.4."""
-
-_FIRST_LAYERED_FORMAT = 6
-"""Point formats from here on are of LAS 1.4 and have their CRS as WKT."""
-
-_UNDOCUMENTED = "ExtraBytes"
-"""Name that laspy gives to bytes of a point which no record describes."""
-
-_LONGEST_VECTOR = 3
-"""Values of an extra dimension that a record can describe."""
-
+_DOUBLES_RECORD = 34736  # number of the record that holds numbers of GeoTIFF keys
+_TEXTS_RECORD = 34737  # number of the record that holds texts of GeoTIFF keys
+_NEWEST_MINOR = 4  # second number of the newest version that is read, LAS 1.4
+_FIRST_LAYERED_FORMAT = 6  # point formats from here on are of LAS 1.4 and have their CRS as WKT
+_UNDOCUMENTED = "ExtraBytes"  # name that laspy gives to bytes of a point which no record describes
+_LONGEST_VECTOR = 3  # values of an extra dimension that a record can describe
+# Number of the record that holds GeoTIFF keys of the CRS (LAS specification).
 _GEO_KEY_RECORD = 34735
-"""Number of the record that holds GeoTIFF keys of the CRS (LAS specification)."""
-
+# Length of a variable record without its content: more records than fit are not believed.
 _RECORD_HEADER_BYTES = 54
-"""Length of a variable record without its content: more records than fit are not believed."""
-
-_EXTENDED_RECORD_HEADER_BYTES = 60
-"""The same of an extended record, which lies behind the points."""
-
-_SHORTEST_HEADER_BYTES = 227
-"""Length of the header of LAS 1.0 to 1.2."""
-
-_LAS_14_HEADER_BYTES = 375
-"""Length of the header of LAS 1.4, the longest."""
-
+_EXTENDED_RECORD_HEADER_BYTES = 60  # the same of an extended record, which lies behind the points
+_SHORTEST_HEADER_BYTES = 227  # length of the header of LAS 1.0 to 1.2
+_LAS_14_HEADER_BYTES = 375  # length of the header of LAS 1.4, the longest
+# Length of the shortest point, of format 0; each chunk begins with a whole point.
 _LEAST_POINT_BYTES = 20
-"""Length of the shortest point, of format 0; each chunk begins with a whole point."""
-
-_COMPRESSED = 0x80
-"""Bit of the point format by which LAZ marks compressed points."""
-
+_COMPRESSED = 0x80  # bit of the point format by which LAZ marks compressed points
+# Place of the chunk table by which a LAZ file says that its last bytes hold the place.
 _TABLE_OFFSET_AT_END = -1
-"""Place of the chunk table by which a LAZ file says that its last bytes hold the place."""
-
-
-# What the writer of a cloud knew beside its points, carried into the clouds that verbs write.
 
 
 @dataclass(frozen=True)
@@ -350,29 +319,33 @@ def _geo_keys(contents: dict[int, list[bytes]]) -> dict[int, int | float | str]:
     return keys
 
 
+# Records that are written anew (CRS, compression) or hold for one order of the points only.
 _OWN = ("LASF_Projection", "laszip encoded", "copc", "lascompatible")
-"""Records that are written anew (CRS, compression) or hold for one order of the points only."""
-
 _SPEC = "LASF_Spec"
-
+# Numbers of records of the specification that belong to fields which are described anew, and to
+# waveforms, which are not read.
 _EXTRA_BYTES, _SUPERSEDED, _WAVE_FIRST, _WAVE_LAST, _WAVE_DATA = 4, 7, 100, 354, 65535
-"""Numbers of records of the specification that belong to fields which are described anew, and to
-waveforms, which are not read."""
-
-_LONGEST_RECORD = 65535
-"""Bytes of an ordinary record; longer ones are extended."""
+_LONGEST_RECORD = 65535  # bytes of an ordinary record; longer ones are extended
 
 
 def carried_of(header: laspy.LasHeader) -> Carried:
     """What is carried of a header."""
     system = header.system_identifier
     text = system.decode("ascii", "replace") if isinstance(system, bytes) else str(system)
-    records = [
-        (record.user_id, record.record_id, record.description, record.record_data_bytes())
-        for record in [*header.vlrs, *(header.evlrs or [])]
-        if _is_kept(record.user_id, record.record_id)
-    ]
-    extra = {dim.name: _extra_field(dim) for dim in header.point_format.extra_dimensions}
+    records = []
+    for record in [*header.vlrs, *(header.evlrs or [])]:
+        user, number = record.user_id.rstrip("\0"), record.record_id
+        waves = _WAVE_FIRST <= number <= _WAVE_LAST or number == _WAVE_DATA
+        described = user == _SPEC and (waves or number in (_EXTRA_BYTES, _SUPERSEDED))
+        if user not in _OWN and not described:
+            content = record.record_data_bytes()
+            records.append((record.user_id, number, record.description, content))
+    extra = {}
+    for dim in header.point_format.extra_dimensions:
+        extra[dim.name] = ExtraField(dim.description)
+        if dim.scales is not None:
+            stored = dim.dtype.base if dim.dtype is not None else None
+            extra[dim.name] = ExtraField(dim.description, stored, dim.scales, dim.offsets)
     return Carried(
         int(header.global_encoding.gps_time_type),
         int(header.file_source_id),
@@ -382,20 +355,6 @@ def carried_of(header: laspy.LasHeader) -> Carried:
     )
 
 
-def _extra_field(dim: laspy.DimensionInfo) -> ExtraField:
-    if dim.scales is None:
-        return ExtraField(dim.description)
-    stored = dim.dtype.base if dim.dtype is not None else None
-    return ExtraField(dim.description, stored, dim.scales, dim.offsets)
-
-
-def _is_kept(user: str, number: int) -> bool:
-    if user.rstrip("\0") in _OWN:
-        return False
-    waves = _WAVE_FIRST <= number <= _WAVE_LAST or number == _WAVE_DATA
-    return user.rstrip("\0") != _SPEC or not (waves or number in (_EXTRA_BYTES, _SUPERSEDED))
-
-
 def carry(header: laspy.LasHeader, carried: Carried) -> None:
     """Put what is carried into a new header."""
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType(carried.time_type)
@@ -403,17 +362,13 @@ def carry(header: laspy.LasHeader, carried: Carried) -> None:
     if carried.system_identifier:
         header.system_identifier = carried.system_identifier
     for user, number, description, content in carried.records:
-        record = laspy.VLR(user, number, _text(description), content)
+        plain = description
+        if isinstance(description, bytes):
+            plain = description.decode("ascii", "replace")
+        record = laspy.VLR(user, number, plain.rstrip("\0"), content)
         if len(content) > _LONGEST_RECORD:
             if header.evlrs is None:
                 header.evlrs = laspy.vlrs.vlrlist.VLRList()
             header.evlrs.append(record)
         else:
             header.vlrs.append(record)
-
-
-def _text(description: str | bytes) -> str:
-    plain = (
-        description.decode("ascii", "replace") if isinstance(description, bytes) else description
-    )
-    return plain.rstrip("\0")

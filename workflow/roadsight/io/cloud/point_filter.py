@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats
 
-NOISE_CLASSES = (7, 18)
-"""ASPRS classes of low and high noise."""
+NOISE_CLASSES = (7, 18)  # ASPRS classes of low and high noise
+# Class of points of overlapping flight lines in point formats 0 to 5, which have no such flag.
 OVERLAP_CLASS = 12
-"""Class of points of overlapping flight lines in point formats 0 to 5, which have no such flag."""
-Overlap = Literal["use", "leave_out"]
-"""What may be done with points of overlapping flight lines."""
-
+# Odd numbers without structure (golden ratio; primes of xxHash), as factors of a hash.
 _ODD = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
-"""Odd numbers without structure (golden ratio; primes of xxHash), as factors of a hash."""
 
 
 def noisy(classification: NDArray) -> Bools:

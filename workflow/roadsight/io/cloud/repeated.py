@@ -23,13 +23,12 @@ from roadsight.io.cloud.clouds import read_header
 from roadsight.io.cloud.point_filter import key_steps, point_keys
 from roadsight.io.records.sources import sha256
 
+# Points of the sample at most (1 MB of hashes); a cloud of fewer is looked at as a whole.
 _SAMPLE = 1 << 17
-"""Points of the sample at most (1 MB of hashes); a cloud of fewer is looked at as a whole."""
+# Share of a sample that may be repeated by chance: a few points of dense clouds agree to the
+# millimetre and in intensity.
 _CHANCE = 1e-4
-"""Share of a sample that may be repeated by chance: a few points of dense clouds agree to the
-millimetre and in intensity."""
-_AT_ONCE = 1 << 24
-"""Hashes sorted at once (16 million, some 400 MB with their places)."""
+_AT_ONCE = 1 << 24  # hashes sorted at once (16 million, some 400 MB with their places)
 
 
 class RepeatedSample:
@@ -102,29 +101,23 @@ def first_ones(clouds: Sequence[Path], folder: Path, overlap: str) -> list[Bools
         for cloud in clouds:
             count = 0
             for chunk, *_ in kept_chunks(cloud, overlap=overlap, times=True):
-                keys = point_keys(
-                    chunk.xyz, steps, chunk.time, chunk.return_number, chunk.intensity
-                )
-                stream.write(keys.data)
+                parts_of = chunk.time, chunk.return_number, chunk.intensity
+                stream.write(point_keys(chunk.xyz, steps, *parts_of).data)
                 count += len(chunk)
             counts.append(count)
         stream.flush()
         first = np.zeros(sum(counts), bool)
-        if len(first):
-            _mark_first(np.memmap(stream, np.uint64, "r"), first)
+        keys = np.memmap(stream, np.uint64, "r") if len(first) else np.empty(0, np.uint64)
+        parts = -(-len(keys) // _AT_ONCE)
+        for part in range(parts):
+            places = [
+                np.flatnonzero(keys[start : start + _AT_ONCE] % np.uint64(parts) == part) + start
+                for start in range(0, len(keys), _AT_ONCE)
+            ]
+            place = np.concatenate(places)
+            _, at = np.unique(keys[place], return_index=True)
+            first[place[at]] = True
     return np.split(first, np.cumsum(counts)[:-1])
-
-
-def _mark_first(keys: NDArray[np.uint64], first: Bools) -> None:
-    parts = -(-len(keys) // _AT_ONCE)
-    for part in range(parts):
-        places = [
-            np.flatnonzero(keys[start : start + _AT_ONCE] % np.uint64(parts) == part) + start
-            for start in range(0, len(keys), _AT_ONCE)
-        ]
-        place = np.concatenate(places)
-        _, at = np.unique(keys[place], return_index=True)
-        first[place[at]] = True
 
 
 def check_copies(clouds: Sequence[Path]) -> None:

@@ -26,15 +26,13 @@ from roadsight.io.cloud.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, POSITIO
 from roadsight.io.records.atomic import Incomplete, WholeFile, no_room
 from roadsight.io.records.tables import as_table, schema_of
 
+TileKey = tuple[int, int]  # row and column of a tile
+# More tiles than this come of stray points or of a wrong unit; each costs memory and an entry of
+# the index.
 _MAX_TILES = 40_000
-"""More tiles than this come of stray points or of a wrong unit; each costs memory and an entry of
-the index."""
-
+# Points held in memory. Fewer would send more of them through the file where points wait.
 _HELD_POINTS = 1_000_000
-"""Points held in memory. Fewer would send more of them through the file where points wait."""
-
-_LEAST_POINTS = 1 << 15
-"""Points of a tile that are worth a row group of their own, before the last."""
+_LEAST_POINTS = 1 << 15  # points of a tile that are worth a row group of their own, before the last
 
 
 class TileWriter(WholeFile):
@@ -133,7 +131,15 @@ class TileWriter(WholeFile):
         """Tiles of the points that are held, and the points' numbers tile by tile."""
         if self._count == 0:
             return [], []
-        ix, iy = (_numbers(self._held[axis][: self._count], self._tile_size_m) for axis in "xy")
+        size_m = np.float64(self._tile_size_m)
+        numbers = []  # of the tile's column and row of each point
+        for axis in "xy":
+            at_m = self._held[axis][: self._count]
+            # 32 bits take a quarter of the time of 64.
+            kind = np.int32 if at_m.max() / size_m < 2**31 else np.int64
+            whole = np.empty(len(at_m), kind)
+            numbers.append(np.divide(at_m, size_m, out=whole, casting="unsafe"))
+        ix, iy = numbers
         parts = _by_tile(ix, iy)
         first = [part[0] for part in parts]
         tiles = list(zip(iy[first].tolist(), ix[first].tolist(), strict=True))
@@ -178,13 +184,6 @@ class TileWriter(WholeFile):
         return {name: held.take(part) for name, held in self._held.items()}
 
 
-def _numbers(at_m: Floats32, tile_size_m: float) -> NDArray[np.signedinteger]:
-    """Number (n,) of the tile's column or row; 32 bits take a quarter of the time of 64."""
-    size_m = np.float64(tile_size_m)
-    kind = np.int32 if at_m.max() / size_m < 2**31 else np.int64
-    return np.divide(at_m, size_m, out=np.empty(len(at_m), kind), casting="unsafe")
-
-
 def _by_tile(
     ix: NDArray[np.signedinteger], iy: NDArray[np.signedinteger]
 ) -> list[NDArray[np.intp]]:
@@ -202,11 +201,10 @@ def _by_tile(
     return np.split(order, np.flatnonzero(number[1:] != number[:-1]) + 1)
 
 
-# Tiles of a cloud written while it is first read, in the frame that its header promises.
-
-
 class TileDraft(ExitStack):
-    """Tiles that count only if the headers were right about corner and colour.
+    """Tiles written while a cloud is first read, in the frame that its header promises.
+
+    They count only if the headers were right about corner and colour.
 
     Parameters
     ----------
@@ -276,10 +274,8 @@ def tile_columns(chunk: Chunk, frame: Frame, shift: int) -> dict[str, NDArray]:
     return columns
 
 
-# The Parquet file of a tiled cloud as it is written, see `roadsight.io.cloud.tiles`.
-
+# Buffer of the file: the system takes few large writes in less time than many small ones.
 _WRITTEN_BYTES = 1 << 20
-"""Buffer of the file: the system takes few large writes in less time than many small ones."""
 
 
 @dataclass
@@ -360,19 +356,12 @@ class TileFile:
             self._stream.close()
 
 
-# Where points of a tile wait that are too few to be written.
-#
-# See `roadsight.io.cloud.tile_writer`.
-
+# Points packed at once, few enough that their records stay in the processor's cache.
 _WRITTEN_POINTS = 1 << 15
-"""Points packed at once, few enough that their records stay in the processor's cache."""
-
-TileKey = tuple[int, int]
-"""Row and column of a tile."""
 
 
 class TileSpill:
-    """Points by tile in an anonymous file, record after record.
+    """Points of tiles that wait because they are too few, in an anonymous file.
 
     A tile's places in the file are packed, because points in random order leave millions of them.
 
@@ -419,7 +408,11 @@ class TileSpill:
         place = self._file.seek(0, os.SEEK_END)
         try:
             for start in range(0, sum(rows.values()), _WRITTEN_POINTS):
-                self._file.write(self._packed(points, start).data)
+                columns = {name: points[name][start : start + _WRITTEN_POINTS] for name in points}
+                records = np.empty(len(columns["x"]), self._record)
+                for name, values in columns.items():
+                    records[name] = values
+                self._file.write(records.data)
             self._file.flush()
         except OSError as error:
             raise no_room(self._target) from error
@@ -427,14 +420,6 @@ class TileSpill:
             self._places.setdefault(tile, array("q")).extend((place, count))
             self._rows[tile] = self.rows(tile) + count
             place += count * self._record.itemsize
-
-    def _packed(self, points: Mapping[str, NDArray], start: int) -> NDArray[np.void]:
-        """Records of some points, few enough to stay in the processor's cache."""
-        columns = {name: points[name][start : start + _WRITTEN_POINTS] for name in points}
-        records = np.empty(len(columns["x"]), self._record)
-        for name, values in columns.items():
-            records[name] = values
-        return records
 
     def take(self, tile: TileKey) -> NDArray[np.void]:
         """Points of a tile (n,) as records, in the order in which they came; they wait no more."""

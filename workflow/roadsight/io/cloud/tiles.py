@@ -25,21 +25,16 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.tables import as_numpy, open_parquet, read_table
 
 POSITION = ("x", "y", "z")
-
 COLOUR = ("red", "green", "blue")
-
+# NumPy types of the columns; the colours are absent from a cloud without them. ``scan`` is the
+# file's ``point_source_id``: the number of a scan, a strip or a drive.
 COLUMN_TYPES: dict[str, str] = {
     **dict.fromkeys(POSITION, "f4"),
     **dict.fromkeys(("intensity", "scan"), "u2"),
     **dict.fromkeys(("classification", "return_number", "number_of_returns", *COLOUR), "u1"),
 }
-"""NumPy types of the columns; the colours are absent from a cloud without them. ``scan`` is the
-file's ``point_source_id``: the number of a scan, a strip or a drive."""
-
 METADATA_KEY = b"roadsight"
-
 Points = dict[str, NDArray]
-
 Bounds = tuple[float, float, float, float]
 
 
@@ -88,19 +83,16 @@ class CloudTiles:
             ]
             self._groups: list[list[int]] = index["groups"]
             self.columns: list[str] = self._file.schema_arrow.names
-            if not (self._groups_match() and set(POSITION) <= set(self.columns)):
+            # Each row group belongs to one tile, and tiles have as many points as the index says.
+            about = self._file.metadata
+            rows = [about.row_group(group).num_rows for group in range(about.num_row_groups)]
+            matched = sorted(chain.from_iterable(self._groups)) == list(range(len(rows))) and [
+                sum(rows[group] for group in groups) for groups in self._groups
+            ] == [tile.rows for tile in self.tiles]
+            if not (matched and set(POSITION) <= set(self.columns)):
                 raise ValueError("its tiles do not match its index")
         self.points = sum(tile.rows for tile in self.tiles)
         self._bounds_m = np.array([tile.bounds_m for tile in self.tiles]).reshape(-1, 6)
-
-    def _groups_match(self) -> bool:
-        """Whether each row group belongs to one tile, and tiles have as many points as it says."""
-        about = self._file.metadata
-        rows = [about.row_group(group).num_rows for group in range(about.num_row_groups)]
-        named = sorted(chain.from_iterable(self._groups))
-        return named == list(range(len(rows))) and [
-            sum(rows[group] for group in groups) for groups in self._groups
-        ] == [tile.rows for tile in self.tiles]
 
     def read(
         self, columns: Sequence[str] | None = None, tiles: Sequence[int] | None = None
@@ -181,20 +173,16 @@ class CloudTiles:
         wanted = self.columns if columns is None else list(columns)
         names = tuple(dict.fromkeys([*wanted, "x", "y"]))
         parts = [self.read(names, [])]
-        for number in self._overlapping(bounds_m):
-            points = read(number, names)
-            inside = _inside(points["x"], points["y"], bounds_m)
-            parts.append({name: points[name][inside] for name in names})
-        return {name: np.concatenate([part[name] for part in parts]) for name in wanted}
-
-    def _overlapping(self, bounds_m: Bounds) -> list[int]:
-        """Positions of the tiles that a box touches, in file order."""
         west, south, east, north = bounds_m
         least_x, least_y, _, greatest_x, greatest_y, _ = self._bounds_m.T
         touched = (
             (least_x < east) & (greatest_x >= west) & (least_y < north) & (greatest_y >= south)
         )
-        return np.flatnonzero(touched).tolist()
+        for number in np.flatnonzero(touched).tolist():
+            points = read(number, names)
+            inside = _inside(points["x"], points["y"], bounds_m)
+            parts.append({name: points[name][inside] for name in names})
+        return {name: np.concatenate([part[name] for part in parts]) for name in wanted}
 
 
 def stack_xyz(points: Mapping[str, NDArray]) -> Floats32:
@@ -220,11 +208,8 @@ def _readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-# A tiled cloud without what only passed through the scene.
-
-
 class StandingCloud:
-    """Positions of the points that stand in the scene, tile by tile.
+    """Positions of the points that stand in the scene, tile by tile: none that only passed.
 
     Parameters
     ----------
@@ -283,27 +268,21 @@ class StandingCloud:
         """Positions (n, 3) of other tiles' standing points within reach of a tile's box."""
         west, south, _, east, north, _ = self.tiles[tile].bounds_m
         box = (west - reach_m, south - reach_m, east + reach_m, north + reach_m)
-        parts: list[Floats32] = [np.empty((0, 3), np.float32)]
-        for number, other in enumerate(self.tiles):
-            if number != tile and _overlap(other.bounds_m, box):
-                xyz = self.xyz(number)
-                parts.append(xyz[_inside_standing(xyz, box)])
-        return np.concatenate(parts)
+        return self.xyz_within(box, without=tile)
 
-    def xyz_within(self, bounds_m: Bounds) -> Floats32:
-        """Positions (n, 3) of the standing points in a box (west, south, east, north)."""
+    def xyz_within(self, bounds_m: Bounds, without: int = -1) -> Floats32:
+        """Positions (n, 3) of the standing points in a box (west, south, east, north).
+
+        Parameters
+        ----------
+        without : tile whose points are left out.
+        """
+        west, south, east, north = bounds_m
         parts: list[Floats32] = [np.empty((0, 3), np.float32)]
         for number, tile in enumerate(self.tiles):
-            if _overlap(tile.bounds_m, bounds_m):
+            least_x, least_y, _, greatest_x, greatest_y, _ = tile.bounds_m
+            touched = least_x < east and greatest_x >= west
+            if touched and least_y < north and greatest_y >= south and number != without:
                 xyz = self.xyz(number)
-                parts.append(xyz[_inside_standing(xyz, bounds_m)])
+                parts.append(xyz[_inside(xyz[:, 0], xyz[:, 1], bounds_m)])
         return np.concatenate(parts)
-
-
-def _overlap(tile: Sequence[float], box: Bounds) -> bool:
-    return tile[0] < box[2] and tile[3] >= box[0] and tile[1] < box[3] and tile[4] >= box[1]
-
-
-def _inside_standing(xyz: Floats32, box: Bounds) -> Bools:
-    x, y = xyz[:, 0], xyz[:, 1]
-    return (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])

@@ -9,18 +9,16 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import Field, RootModel
 
 from roadsight.base.errors import InputError
-from roadsight.base.section import validated
+from roadsight.base.section import Degrees, Section, validated
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.text_tables import read_cells
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
-
 _LENS = ("focal_px", "cx_px", "cy_px")
-
 _SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
 
 
@@ -40,7 +38,7 @@ def read_cameras(
     ------
     InputError : a table cannot be read, lacks a column or holds what is no number.
     """
-    table = _read(path)
+    table = read_cells(path)
     native = [
         _column(table, rf"{name}_(?!above|px)\w+", path)
         for name in ("easting", "northing", "height")
@@ -52,7 +50,9 @@ def read_cameras(
     found[["x", "y", "z"]] = frame.to_local(numbers[native].to_numpy(np.float64))
     for name, own in _ANGLES.items():
         found[own] = numbers[name]
-    lens = table if intrinsics is None else _read(intrinsics).rename(columns={"fx_px": "focal_px"})
+    lens = table
+    if intrinsics is not None:
+        lens = read_cells(intrinsics).rename(columns={"fx_px": "focal_px"})
     for name in _present(lens, _LENS, intrinsics or path):
         values = pd.to_numeric(lens[name], errors="coerce")
         found[name] = values if intrinsics is None else float(values.iloc[0])
@@ -70,7 +70,7 @@ def posed_images(path: str | os.PathLike[str]) -> set[str]:
     ------
     InputError : it cannot be read or names no images.
     """
-    table = _read(path)
+    table = read_cells(path)
     return set(table[_present(table, ("image",), path)[0]].astype(str))
 
 
@@ -81,13 +81,9 @@ def corrections_of(path: str | os.PathLike[str], images: Collection[str]) -> lis
     ------
     InputError : it cannot be read or names no images.
     """
-    table = _read(path)
+    table = read_cells(path)
     names = table[_present(table, ("image",), path)[0]].astype(str)
     return [",".join(map(str, row)) for row in table[names.isin(images)].to_numpy().tolist()]
-
-
-def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
-    return read_cells(path)
 
 
 def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:
@@ -108,46 +104,38 @@ def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[
 
 # Registered cameras by image size: a JSON file that `roadsight register` or a user writes.
 
-Angle = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
-
-Metres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
-
-Sigma = Annotated[float | None, Field(gt=0, le=1e3, allow_inf_nan=False)]
-
-Count = Annotated[int | None, Field(ge=1)]
+_Metres = Annotated[float | None, Field(ge=-100, le=100)]
+_Sigma = Annotated[float | None, Field(gt=0, le=1e3)]
+_Count = Annotated[int | None, Field(ge=1)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Sigmas(_Section):
+class Sigmas(Section):
     """Standard deviation of each number."""
 
-    along_m: Sigma = None
-    lateral_m: Sigma = None
-    height_m: Sigma = None
-    yaw_deg: Sigma = None
-    pitch_deg: Sigma = None
-    roll_deg: Sigma = None
-    log_focal: Sigma = None
+    along_m: _Sigma = None
+    lateral_m: _Sigma = None
+    height_m: _Sigma = None
+    yaw_deg: _Sigma = None
+    pitch_deg: _Sigma = None
+    roll_deg: _Sigma = None
+    log_focal: _Sigma = None
 
 
-class Baseline(_Section):
+class Baseline(Section):
     """Where the camera of one image size sits on its vehicle, and its lens."""
 
-    focal_px: float | None = Field(None, gt=0, le=1e6, allow_inf_nan=False)
-    hfov_deg: float | None = Field(None, gt=0, lt=180, allow_inf_nan=False)
-    along_m: Metres | None = None
-    lateral_m: Metres | None = None
-    height_m: Metres | None = None
-    yaw_deg: Angle | None = None
-    pitch_deg: Angle | None = None
-    roll_deg: Angle | None = None
+    focal_px: float | None = Field(None, gt=0, le=1e6)
+    hfov_deg: float | None = Field(None, gt=0, lt=180)
+    along_m: _Metres = None
+    lateral_m: _Metres = None
+    height_m: _Metres = None
+    yaw_deg: Degrees | None = None
+    pitch_deg: Degrees | None = None
+    roll_deg: Degrees | None = None
     sigma: Sigmas = Sigmas()
-    images: Count = None
-    pairs: Count = None
-    rms_px: float | None = Field(None, ge=0, allow_inf_nan=False)
+    images: _Count = None
+    pairs: _Count = None
+    rms_px: float | None = Field(None, ge=0)
 
 
 class Baselines(RootModel[dict[Annotated[str, Field(pattern=r"^(all|\d+x\d+)$")], Baseline]]):

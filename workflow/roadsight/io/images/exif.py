@@ -18,35 +18,26 @@ import numpy as np
 
 from roadsight.base.arrays import Numbers
 
+# Larger images are refused before they are decoded: a damaged header may announce any size.
 _MOST_PIXELS = 1 << 28
-"""Larger images are refused before they are decoded: a damaged header may announce any size."""
-_JPEG = b"\xff\xd8"
-"""First bytes of a JPEG."""
-_PNG = b"\x89PNG\r\n\x1a\n"
-"""First bytes of a PNG."""
+_JPEG = b"\xff\xd8"  # first bytes of a JPEG
+_PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a PNG
+# JPEG markers that begin a frame and tell the size; of the three left out, two begin tables and one
+# is reserved.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""JPEG markers that begin a frame and tell the size; of the three left out, two begin tables and
-one is reserved."""
-_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
-"""JPEG markers without a length and content."""
-_ORIENTATION = 0x0112
-"""EXIF tag: how the image is to be turned; from 5 on, by a quarter."""
-_WIDTH, _HEIGHT = 0x0100, 0x0101
-"""TIFF tags: columns and rows."""
+_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers without a length and content
+_ORIENTATION = 0x0112  # EXIF tag: how the image is to be turned; from 5 on, by a quarter
+_WIDTH, _HEIGHT = 0x0100, 0x0101  # TIFF tags: columns and rows
+# TIFF tags: places and lengths of the pixels' parts.
 _STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES = 0x0111, 0x0117, 0x0144, 0x0145
-"""TIFF tags: places and lengths of the pixels' parts."""
-_EXIF_IFD = 0x8769
-"""EXIF tag: place of the directory of capture."""
+_EXIF_IFD = 0x8769  # EXIF tag: place of the directory of capture
+# EXIF tags: DateTimeOriginal, DateTimeDigitized, and their parts of a second.
 _TAKEN, _DIGITISED, _TAKEN_PARTS, _DIGITISED_PARTS = 0x9003, 0x9004, 0x9291, 0x9292
-"""EXIF tags: DateTimeOriginal, DateTimeDigitized, and their parts of a second."""
-_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
-"""First bytes of a TIFF, and the order of its bytes."""
-_GPS_IFD = 0x8825
-"""EXIF tag: place of the directory of GPS tags."""
-_PALETTE = 3
-"""Kind of a PNG whose pixels are places in a palette."""
+_TIFF = {b"II*\0": "<", b"MM\0*": ">"}  # first bytes of a TIFF, and the order of its bytes
+_GPS_IFD = 0x8825  # EXIF tag: place of the directory of GPS tags
+_PALETTE = 3  # kind of a PNG whose pixels are places in a palette
+# Length of a value of each TIFF type.
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8}
-"""Length of a value of each TIFF type."""
 
 
 @dataclass(frozen=True)
@@ -296,17 +287,14 @@ def _directory(tiff: bytes, order: str, start: int) -> dict[int, list[float]]:
         if not 0 < size <= len(tiff):
             continue
         place = at + 8 if size <= 4 else struct.unpack_from(order + "I", tiff, at + 8)[0]
-        entries[tag] = _values(tiff[place : place + size], order, kind)
+        content = tiff[place : place + size]
+        if kind in (5, 10):
+            pairs = struct.iter_unpack(order + ("II" if kind == 5 else "ii"), content)
+            entries[tag] = [top / bottom if bottom else float("nan") for top, bottom in pairs]
+        else:
+            letter = {1: "B", 2: "B", 3: "H", 4: "I", 6: "b", 7: "B", 8: "h", 9: "i"}[kind]
+            entries[tag] = [value for (value,) in struct.iter_unpack(order + letter, content)]
     return entries
-
-
-def _values(content: bytes, order: str, kind: int) -> list[float]:
-    if kind in (5, 10):
-        letter = "I" if kind == 5 else "i"
-        pairs = struct.iter_unpack(order + 2 * letter, content)
-        return [top / bottom if bottom else float("nan") for top, bottom in pairs]
-    letter = {1: "B", 2: "B", 3: "H", 4: "I", 6: "b", 7: "B", 8: "h", 9: "i"}[kind]
-    return [value for (value,) in struct.iter_unpack(order + letter, content)]
 
 
 def _degrees(parts: list[float], reference: list[float], negative: str) -> float | None:

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+# Key of an entry of a tensor's external data, and the length of the file's name that follows.
 _LOCATION = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])", re.DOTALL)
-"""Key of an entry of a tensor's external data, and the length of the file's name that follows."""
 
 
 def weight_files(network: Path) -> list[Path]:

@@ -13,26 +13,22 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Numbers
 from roadsight.base.doubts import Doubt, tell_matches
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image
-from roadsight.io.records.atomic import WholeFile, atomic_path
+from roadsight.io.records.atomic import WholeFile
 
-_ABOUT = "about.json"
-"""Name of the description in the ZIP."""
-
+_ABOUT = "about.json"  # name of the description in the ZIP
+# The earliest date that a ZIP can hold, so that the same images give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
-"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
-
+# Depth maps are 1 % larger than at level 3 and masks smaller, in half the time.
 _PNG = [
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
 ]
-"""Depth maps are 1 % larger than at level 3 and masks smaller, in half the time."""
 
 
 class ImageShardWriter(WholeFile):
@@ -111,26 +107,12 @@ class ImageShard:
         )
 
 
-# Generated videologs: images in ZIPs of JPEGs, and tables as plain CSV.
-
-_DATE_VIDEOLOG_SHARDS = (1980, 1, 1, 0, 0, 0)
-"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
-
-
 class JpegShardWriter(WholeFile):
     """Writes JPEGs one by one into a ZIP, which appears under its name when all is well.
 
     A ZIP is one file that a workflow can declare; unpacked, it is the folder of images that a
     videolog usually is. The same images give the same bytes.
-
-    Parameters
-    ----------
-    path : the ZIP to write. quality : of the JPEGs, 1 to 100.
     """
-
-    def __init__(self, path: str | os.PathLike[str], quality: int = 90) -> None:
-        super().__init__(path)
-        self._options = [cv2.IMWRITE_JPEG_QUALITY, quality]
 
     def _open(self, temporary: Path) -> None:
         self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
@@ -140,35 +122,13 @@ class JpegShardWriter(WholeFile):
 
     def write(self, name: str, image: Bytes) -> None:
         """Add an image (rows, columns, 3 BGR) under ``name``, which ends in .jpg."""
-        done, encoded = cv2.imencode(".jpg", image, self._options)
+        done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
         if not done:
             raise InputError("cannot be written as JPEG", where=name, found=image.dtype)
-        self._zip.writestr(zipfile.ZipInfo(name, _DATE_VIDEOLOG_SHARDS), encoded.tobytes())
+        self._zip.writestr(zipfile.ZipInfo(name, _DATE), encoded.tobytes())
 
 
-def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int]) -> None:
-    """Write a table as CSV.
-
-    Parameters
-    ----------
-    decimals : digits after the point by column; other columns are written as they are.
-    """
-    texts = table.copy()
-    for name, digits in decimals.items():
-        # Adding zero turns -0 into 0.
-        texts[name] = [f"{round(float(v), digits) + 0.0:.{digits}f}" for v in table[name]]
-    with atomic_path(path) as temporary:
-        texts.to_csv(temporary, index=False, lineterminator="\n")
-
-
-# Folders of label images or depth images that somebody else made for a videolog.
-
-_NAMED = 5
-"""So many images are named in a message; the number tells of the others."""
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+_NAMED = 5  # so many images are named in a message; the number tells of the others
 
 
 @dataclass(frozen=True)
@@ -185,7 +145,9 @@ class Matching:
 
 
 class LabelImages:
-    """PNGs named as the images they belong to, in the same folders or all in one.
+    """Label or depth images that somebody else made for a videolog.
+
+    PNGs named as the images they belong to, in the same folders or all in one.
 
     Raises
     ------
@@ -218,8 +180,8 @@ class LabelImages:
         total, hint = len(image_paths), ""
         if without:
             example = PurePosixPath(without[0]).with_suffix(".png")
-            all_lack = len(without) == total
-            hint = f"such as {example}" if all_lack else f"left out: {_some(without)}"
+            some = ", ".join(without[:_NAMED]) + (", ..." if len(without) > _NAMED else "")
+            hint = f"such as {example}" if len(without) == total else f"left out: {some}"
         met, where = f"images have {what}", str(self.folder)
         return Matching(tell_matches(log, met, total - len(without), total, where, hint), without)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -14,17 +13,16 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.text_tables import read_cells
 from roadsight.poles.alignment.dense import GivenLens
 
-_FOCAL = ("fx_px", "focal_px")
-"""Names that the focal length may have."""
+_FOCAL = ("fx_px", "focal_px")  # names that the focal length may have
 _SIGMAS = ("sigma_fx_px", "sigma_cx_px", "sigma_cy_px")
+# Shares by which fx and fy may differ: at the edge of 375 rows that is half a pixel. Nothing behind
+# the alignment knows pixels that are not square.
 _SQUARE = 0.005
-"""Shares by which fx and fy may differ: at the edge of 375 rows that is half a pixel. Nothing
-behind the alignment knows pixels that are not square."""
+# Share of the image's size by which a principal point may lie off the middle. Real ones do by 5 %;
+# those of an image of half the size by half of it.
 _OFF_CENTRE = 0.25
-"""Share of the image's size by which a principal point may lie off the middle. Real ones do by
-5 %; those of an image of half the size by half of it."""
+# Horizontal fields of view that a camera on a vehicle may have, as for a calibration.
 _HFOV_DEG = (8.0, 130.0)
-"""Horizontal fields of view that a camera on a vehicle may have, as for a calibration."""
 
 
 def read_intrinsics(source: str, images: Iterable[tuple[str, int, int]]) -> dict[str, GivenLens]:
@@ -42,7 +40,14 @@ def read_intrinsics(source: str, images: Iterable[tuple[str, int, int]]) -> dict
     InputError : the table cannot be read, lacks a column or some images, holds what is no lens, or
         belongs to images of another size.
     """
-    where, rows = _rows(source)
+    if source.lstrip().startswith("{"):
+        content: Mapping[str, Any] = json.loads(source)
+        given = {name: str(value) for name, value in content.items() if value is not None}
+        where, rows = "poles.intrinsics", pd.DataFrame([given])
+    else:
+        where, rows = source, read_cells(source)
+        if not len(rows):
+            raise InputError("has no row", where=where)
     wanted = list(images)
     if "image" not in rows:
         if len(rows) != 1:
@@ -66,18 +71,6 @@ def read_intrinsics(source: str, images: Iterable[tuple[str, int, int]]) -> dict
             hint="leave out poles.intrinsics where not all lenses are known",
         )
     return {name: _lens(named[name], name, (w, h), where) for name, w, h in wanted}
-
-
-def _rows(source: str) -> tuple[str, pd.DataFrame]:
-    """Where they come from, and the rows as texts."""
-    if source.lstrip().startswith("{"):
-        content: Mapping[str, Any] = json.loads(source)
-        given = {name: str(value) for name, value in content.items() if value is not None}
-        return "poles.intrinsics", pd.DataFrame([given])
-    table = read_cells(source)
-    if not len(table):
-        raise InputError("has no row", where=os.fspath(source))
-    return os.fspath(source), table
 
 
 def _lens(row: pd.Series, image: str, size_px: tuple[int, int], where: str) -> GivenLens:

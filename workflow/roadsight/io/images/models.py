@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import onnxruntime
-
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.base.section import check_path, validated
@@ -20,18 +18,11 @@ from roadsight.poles.images.networks import LabelMap, Manifest
 
 if TYPE_CHECKING:  # stages that may need a network do not wait for its runtime until they do
     import onnxruntime
-if TYPE_CHECKING:
-    import onnxruntime
-
-
-_FLOAT = "tensor(float)"
-"""Type of a network's input, by ONNX."""
-
+_VARIABLE = r"\$\{(\w+)\}"
+_FLOAT = "tensor(float)"  # type of a network's input, by ONNX
+# Types of an output of labels, by ONNX.
 _LABEL_TYPES = ("tensor(uint8)", "tensor(int32)", "tensor(int64)", "tensor(float)")
-"""Types of an output of labels, by ONNX."""
-
-_CHANNELS = 3
-"""Networks take colour images."""
+_CHANNELS = 3  # networks take colour images
 
 
 @dataclass(frozen=True)
@@ -65,7 +56,11 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
     """
     where = str(path)
     manifest = validated(Manifest, read_yaml(path), where)
-    file = _beside(manifest.file, Path(path))
+    for variable in re.findall(_VARIABLE, manifest.file):
+        if not os.environ.get(variable):
+            where = f"{Path(path)}: {manifest.file}"
+            raise InputError(f"environment variable {variable} is not set", where=where)
+    file = Path(path).parent / re.sub(_VARIABLE, lambda m: os.environ[m[1]], manifest.file)
     check_path(file, where)
     if not file.is_file():
         raise InputError(
@@ -101,17 +96,6 @@ def read_label_map(path: str | os.PathLike[str]) -> LabelMap:
     InputError : it is malformed.
     """
     return validated(LabelMap, read_yaml(path), str(path))
-
-
-def _beside(name: str, manifest: Path) -> Path:
-    def value(match: re.Match[str]) -> str:
-        if not os.environ.get(match[1]):
-            raise InputError(
-                f"environment variable {match[1]} is not set", where=f"{manifest}: {name}"
-            )
-        return os.environ[match[1]]
-
-    return manifest.parent / re.sub(r"\$\{(\w+)\}", value, name)
 
 
 def _checked_input(manifest: Manifest, session: onnxruntime.InferenceSession, where: str) -> str:
@@ -201,8 +185,7 @@ def _shown(shape: Any) -> str:
     return " x ".join(str(n) if isinstance(n, int) else "any" for n in shape)
 
 
-# ONNX files opened for the CPU.
-
+# Exceptions of the runtime that a file can cause.
 _ERRORS = (
     "Fail",
     "InvalidArgument",
@@ -212,7 +195,6 @@ _ERRORS = (
     "NotImplemented",
     "RuntimeException",
 )
-"""Exceptions of the runtime that a file can cause."""
 
 
 def open_session(file: Path, threads: int) -> onnxruntime.InferenceSession:
@@ -240,14 +222,12 @@ def open_session(file: Path, threads: int) -> onnxruntime.InferenceSession:
         raise InputError(f"cannot be opened as a network ({problem})", where=str(file)) from error
 
 
-# Networks that refine depth maps: ONNX files that say of themselves what they are for.
-
+# What a network that refines depth maps says of itself.
 _FACTS = {
     "kind": "depth_refinement",
     "step_deg": f"{STEP_DEG:g}",
     "multiple_cells": str(MULTIPLE_CELLS),
 }
-
 _HINT = "see docs/placement/depth-maps.md"
 
 
@@ -271,7 +251,9 @@ class DepthNetwork:
         self._path = str(path)
         found = self._session.get_modelmeta().custom_metadata_map
         facts = {name: found.get(name, "nothing") for name in _FACTS}
-        if facts != _FACTS or not _refines(self._session):
+        inputs = [(tensor.name, tensor.shape[1:2]) for tensor in self._session.get_inputs()]
+        outputs = [tensor.name for tensor in self._session.get_outputs()]
+        if facts != _FACTS or inputs != [("depth", [1])] or outputs != ["refined"]:
             raise InputError(
                 "is no network that refines depth maps of this kind",
                 where=f"lidar.network, {path}",
@@ -311,10 +293,3 @@ def network_for(model: str, path: str | os.PathLike[str] | None) -> DepthNetwork
     InputError : as `DepthNetwork`.
     """
     return DepthNetwork(path) if path and model in NETWORK_MODELS else None
-
-
-def _refines(session: onnxruntime.InferenceSession) -> bool:
-    """Whether input and output are as they should be."""
-    inputs = [(tensor.name, tensor.shape[1:2]) for tensor in session.get_inputs()]
-    outputs = [tensor.name for tensor in session.get_outputs()]
-    return inputs == [("depth", [1])] and outputs == ["refined"]

@@ -20,8 +20,8 @@ from roadsight.io.records.text_tables import read_cells
 from roadsight.poles.drive.videolog import drive_order, seconds_of
 
 log = logging.getLogger(__name__)
-
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+# Names that a table's columns may have, the usual first.
 _ALIASES = {
     "image": ("image", "image_name", "filename", "file", "name", "photo"),
     "latitude": ("latitude", "lat", "y", "y_m", "northing", "northing_m"),
@@ -40,11 +40,8 @@ _ALIASES = {
     "left_image": ("left_image", "left"),
     "right_image": ("right_image", "right"),
 }
-"""Names that a table's columns may have, the usual first."""
-_MOST_BYTES = 1 << 28
-"""Larger images are refused: a ZIP may unpack to any size."""
-_ONE_ROUTE = "route"
-"""Route of images that name none."""
+_MOST_BYTES = 1 << 28  # larger images are refused: a ZIP may unpack to any size
+_ONE_ROUTE = "route"  # route of images that name none
 
 
 class ImageSource:
@@ -74,8 +71,20 @@ class ImageSource:
             self._files, archives = {}, [self.path]
         else:
             raise InputError("is neither a folder nor a ZIP file", where=str(path))
-        for archive in archives:
-            self._open(archive)
+        for archive_path in archives:
+            try:
+                archive = zipfile.ZipFile(archive_path)
+            except Exception as error:  # a damaged archive raises of every kind
+                problem = f"is no ZIP file of images ({error})"
+                raise InputError(problem, where=str(archive_path)) from error
+            for member in archive.namelist():
+                if PurePosixPath(member).suffix.lower() not in _SUFFIXES or "__MACOSX" in member:
+                    continue
+                _check_inside(member, archive_path)
+                if member in self._files or member in self._zips:
+                    where = str(archive_path)
+                    raise InputError("an image is there twice", where=where, found=member)
+                self._zips[member] = (archive, member)
         self._names = sorted({*self._files, *self._zips}, key=natural_key)
         self._by_key = _lookup(self._names)
 
@@ -130,7 +139,7 @@ class ImageSource:
                 content = stream.read(_MOST_BYTES + 1)
         except KeyError as error:
             raise InputError("holds no such image", where=str(self.path), found=name) from error
-        except Exception as error:  # a damaged archive raises of every kind
+        except Exception as error:  # as above
             raise InputError(f"cannot be read ({error})", where=f"{self.path}: {name}") from error
         if len(content) > _MOST_BYTES:
             raise InputError(
@@ -167,19 +176,6 @@ class ImageSource:
         if image is None:
             raise InputError("cannot be decoded as an image", where=f"{self.path}: {name}")
         return image.astype(np.uint8, copy=False)
-
-    def _open(self, path: Path) -> None:
-        try:
-            archive = zipfile.ZipFile(path)
-        except Exception as error:  # as above
-            raise InputError(f"is no ZIP file of images ({error})", where=str(path)) from error
-        for member in archive.namelist():
-            if PurePosixPath(member).suffix.lower() not in _SUFFIXES or "__MACOSX" in member:
-                continue
-            _check_inside(member, path)
-            if member in self._files or member in self._zips:
-                raise InputError("an image is there twice", where=str(path), found=member)
-            self._zips[member] = (archive, member)
 
 
 def natural_key(name: str) -> list[tuple[int, int | str]]:

@@ -11,19 +11,16 @@ from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
-from roadsight.geometry.crs import horizontal, with_heights
+from roadsight.geometry.crs import with_heights
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_raster
 
-_CONTENT = "CONTENT"
-"""Tag that says whether a raster holds heights, which have an origin, or other values."""
-_HEIGHT = "height"
-_VALUE = "value"
-_MEASURED = "measured"
-"""Description of the second band, where there is one."""
+_CONTENT, _HEIGHT = "CONTENT", "height"  # tag of rasters that this workflow wrote, and its value
+_NODATA = -9999.0
+_MEASURED = "measured"  # description of the second band, where there is one
 
 
 @dataclass(frozen=True)
@@ -35,32 +32,12 @@ class Raster:
     values : float32, shape (rows, columns), rows from north to south; NaN where nothing is known.
     west_m, north_m : outer corner of cell (0, 0).
     cell_size_m : edge of a cell.
-    measured : shape (rows, columns), False where a value was filled from around; None where the
-        raster does not tell.
     """
 
     values: Floats32
     west_m: float
     north_m: float
     cell_size_m: float
-    measured: Bools | None = None
-
-    def is_measured(self, x_m: ArrayLike, y_m: ArrayLike) -> Bools:
-        """Whether the cells at places hold measured values; False for filled and unknown ones.
-
-        In a raster that does not tell, all known values count as measured.
-
-        Parameters
-        ----------
-        x_m, y_m : shape (n,).
-        """
-        column = np.floor((np.asarray(x_m, np.float64) - self.west_m) / self.cell_size_m)
-        row = np.floor((self.north_m - np.asarray(y_m, np.float64)) / self.cell_size_m)
-        rows, columns = self.values.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        at = np.where(inside, row, 0).astype(int), np.where(inside, column, 0).astype(int)
-        told = np.isfinite(self.values) if self.measured is None else self.measured
-        return np.asarray(inside & told[at])
 
     def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Values at places, bilinear between cell centres.
@@ -103,30 +80,23 @@ def write_raster(
     west_m: float,
     north_m: float,
     cell_size_m: float,
-    nodata: float = -9999.0,
-    is_height: bool = True,
     measured: ArrayLike | None = None,
 ) -> None:
-    """Write a cloud-optimised GeoTIFF, with overviews, in the native CRS and units.
+    """Write heights as a cloud-optimised GeoTIFF, with overviews, in the native CRS and units.
 
-    The same values give the same bytes.
-
-    Heights become native heights in the native vertical unit, so that they agree with the cloud in
-    any GIS; other values are written as they are.
+    The same values give the same bytes. Heights become native ones in the native vertical unit, so
+    that they agree with the cloud in any GIS.
 
     Parameters
     ----------
-    values : shape (rows, columns), rows from north to south, local metres if heights; cells that
-        are not finite become ``nodata``.
+    values : shape (rows, columns), rows from north to south, local metres; cells that are not
+        finite become -9999.
     west_m, north_m : outer corner of cell (0, 0), local metres.
-    is_height : whether the values are heights.
     measured : shape (rows, columns), a second band with 1 for measured cells and 0 for filled ones.
     """
     known = np.isfinite(values)
-    native = np.asarray(values, np.float64)
-    if is_height:
-        native = native / frame.vertical_unit_m + frame.origin[2]
-    pixels = np.where(known, native, nodata).astype(np.float32)
+    native = np.asarray(values, np.float64) / frame.vertical_unit_m + frame.origin[2]
+    pixels = np.where(known, native, _NODATA).astype(np.float32)
     west, north = frame.to_native([west_m, north_m])
     cell_size = cell_size_m / frame.unit_m
     with atomic_path(path) as temporary:
@@ -138,20 +108,19 @@ def write_raster(
             width=pixels.shape[1],
             count=1 if measured is None else 2,
             dtype="float32",
-            crs=crs_wkt(frame, is_height),
+            crs=crs_wkt(frame),
             transform=rasterio.Affine(cell_size, 0.0, west, 0.0, -cell_size, north),
-            nodata=nodata,
+            nodata=_NODATA,
             compress="deflate",
             predictor="floating_point",
             overview_resampling="average",
         ) as raster:
             raster.write(pixels, 1)
-            if is_height:
-                raster.set_band_unit(1, unit_text(frame.vertical_unit_m))
+            raster.set_band_unit(1, unit_text(frame.vertical_unit_m))
             if measured is not None:
                 raster.write(np.asarray(measured, np.float32), 2)
                 raster.set_band_description(2, _MEASURED)
-            raster.update_tags(**{_CONTENT: _HEIGHT if is_height else _VALUE})
+            raster.update_tags(**{_CONTENT: _HEIGHT})
         check_raster(temporary)
 
 
@@ -167,29 +136,25 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
             pixels = raster.read(1).astype(np.float64)
             transform, nodata = raster.transform, raster.nodata
             content = raster.tags().get(_CONTENT)
-            bands = raster.descriptions
-            measured = raster.read(2) == 1 if _MEASURED in bands[1:2] else None
     except (RasterioError, OSError, ValueError) as error:
         raise InputError(f"cannot be read as a raster ({error})", where=str(path)) from error
-    if content not in (_HEIGHT, _VALUE):
+    if content != _HEIGHT:
         raise InputError(
             "is no raster that this workflow wrote", where=str(path), hint="delete it and run again"
         )
     values = np.where(pixels == nodata, np.nan, pixels)
-    if content == _HEIGHT:
-        values = (values - frame.origin[2]) * frame.vertical_unit_m
+    values = (values - frame.origin[2]) * frame.vertical_unit_m
     # Corners and cells come back to the digit, so that grids of one site still coincide.
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
-    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m, measured)
+    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m)
 
 
-def crs_wkt(frame: Frame, is_height: bool) -> str | None:
-    """CRS of a raster: heights carry the vertical one too, where the site has one."""
+def crs_wkt(frame: Frame) -> str | None:
+    """CRS of a raster of heights, with the vertical one where the site has one."""
     if frame.crs_wkt is None:
         return None
-    crs = CRS.from_wkt(frame.crs_wkt)
-    return (with_heights(crs, frame.vertical_unit_m) if is_height else horizontal(crs)).to_wkt()
+    return with_heights(CRS.from_wkt(frame.crs_wkt), frame.vertical_unit_m).to_wkt()
 
 
 def unit_text(unit_m: float) -> str:

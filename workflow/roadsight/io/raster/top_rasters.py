@@ -29,12 +29,10 @@ from roadsight.io.records.whole import check_raster
 if TYPE_CHECKING:  # compiled loops that a reader does not need
     from roadsight.scene.voxel_classes import Columns, VoxelGrid
 
+# Rows of a block; the writer holds one row of blocks, so that lower blocks take less memory.
 _BLOCK_ROWS = 128
-"""Rows of a block; the writer holds one row of blocks, so that lower blocks take less memory."""
-_BLOCK_COLUMNS = 256
-"""Columns of a block."""
-_NODATA = -9999.0
-"""Where nothing was hit; no class, height or share can have this value."""
+_BLOCK_COLUMNS = 256  # columns of a block
+_NODATA = -9999.0  # where nothing was hit; no class, height or share can have this value
 _CACHE_MIB = 16  # each block is read once
 _BANDS = ("class", "height", "road share")
 
@@ -78,7 +76,7 @@ class TopRasterWriter(WholeFile):
             height=rows,
             count=3,
             dtype="float32",
-            crs=crs_wkt(self._frame, is_height=True),
+            crs=crs_wkt(self._frame),
             nodata=_NODATA,
             compress="deflate",
             zlevel=1,

@@ -15,14 +15,12 @@ from typing import Any, Self
 
 from roadsight.base.errors import InputError
 
+# Part of a temporary's name, because the processes of other hosts cannot be looked up here.
 _HOST = socket.gethostname().partition(".")[0]
-"""Part of a temporary's name, because the processes of other hosts cannot be looked up here."""
+# Written after a failure to learn whether the disk is full, because libraries say everything but
+# that. Less might still fit where a library's block did not.
 _PROBE_BYTES = 1 << 20
-"""Written after a failure to learn whether the disk is full, because libraries say everything but
-that. Less might still fit where a library's block did not."""
-
-written: set[Path] = set()
-"""Files that this process wrote, by absolute path."""
+written: set[Path] = set()  # files that this process wrote, by absolute path
 
 
 @contextmanager
@@ -38,8 +36,12 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    _remove_leftovers(target)
-    temporary = target.with_name(_temporary_name(target, str(os.getpid())))
+    before, after = f".{target.stem}.{_HOST}-", f".tmp{target.suffix}"
+    for file in target.parent.glob(f"{glob.escape(before)}*{glob.escape(after)}*"):
+        process = file.name.removeprefix(before).partition(".")[0]
+        if process.isdecimal() and not Path(f"/proc/{process}").exists():
+            file.unlink(missing_ok=True)
+    temporary = target.with_name(f"{before}{os.getpid()}{after}")
     try:
         yield temporary
         os.replace(temporary, target)
@@ -49,7 +51,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise
         raise no_room(target) from error
     finally:
-        for file in [temporary, *_beside(temporary)]:
+        beside = sorted(target.parent.glob(f"{glob.escape(temporary.name)}-*"))  # as a journal
+        for file in [temporary, *beside]:
             file.unlink(missing_ok=True)
 
 
@@ -130,24 +133,6 @@ class WholeFile(ABC):
         InputError : the disk is full.
         """
         self._whole.close()
-
-
-def _temporary_name(target: Path, process: str) -> str:
-    return f".{target.stem}.{_HOST}-{process}.tmp{target.suffix}"
-
-
-def _beside(temporary: Path) -> list[Path]:
-    """What a library wrote beside its file, such as a journal."""
-    return sorted(temporary.parent.glob(f"{glob.escape(temporary.name)}-*"))
-
-
-def _remove_leftovers(target: Path) -> None:
-    """Remove temporaries of this file whose process is no more."""
-    before, after = _temporary_name(target, "\0").split("\0")
-    for file in target.parent.glob(f"{glob.escape(before)}*{glob.escape(after)}*"):
-        process = file.name.removeprefix(before).partition(".")[0]
-        if process.isdecimal() and not Path(f"/proc/{process}").exists():
-            file.unlink(missing_ok=True)
 
 
 def _has_room(temporary: Path) -> bool:

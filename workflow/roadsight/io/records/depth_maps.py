@@ -28,22 +28,14 @@ from roadsight.io.records.atomic import WholeFile, atomic_path
 from roadsight.io.records.tables import open_parquet
 from roadsight.placement.sensors.rays import NOT_CAST_M
 
-_KEY = b"roadsight"
-"""Of the file's metadata."""
-
-_VERSION = 2
-"""Of the layout; files of another are refused."""
-
-_LEVEL = 3
-"""Of Zstandard: its own default."""
-
+_KEY = b"roadsight"  # of the file's metadata
+_VERSION = 2  # of the layout; files of another are refused
+_LEVEL = 3  # of Zstandard: its own default
+# Maps of a row group, which is read as a whole: few, so that one map costs little memory.
 _MAPS_IN_GROUP = 8
-"""Maps of a row group, which is read as a whole: few, so that one map costs little memory."""
-
+# Steps up to the sensor's range: a little less than the 65,535 that 16 bits hold, so that ranges
+# just beyond it fit.
 _MAX_STEPS = 65_000
-"""Steps up to the sensor's range: a little less than the 65,535 that 16 bits hold, so that ranges
-just beyond it fit."""
-
 _SCHEMA = pa.schema([("candidate", pa.string()), ("steps", pa.binary())])
 
 
@@ -161,17 +153,10 @@ class DepthMaps:
         ------
         InputError : the file is damaged.
         """
-        wanted = pa.array(sorted(candidates), pa.string())
         try:
-            for group in range(self._file.num_row_groups):
-                names = self._file.read_row_group(group, ["candidate"], use_threads=False)
-                found = pc.is_in(names["candidate"], wanted)
-                if not pc.any(found).as_py():
-                    continue
-                rows = self._file.read_row_group(group, use_threads=False).filter(found)
-                for row in rows.to_pylist():
-                    yield row["candidate"], self.decode(row["steps"])
-        except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
+            for candidate, content in self.stored(candidates):
+                yield candidate, self.decode(content)
+        except (zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
     def candidates(self) -> list[str]:
@@ -198,10 +183,11 @@ class DepthMaps:
         try:
             for group in range(self._file.num_row_groups):
                 names = self._file.read_row_group(group, ["candidate"], use_threads=False)
-                if not pc.any(pc.is_in(names["candidate"], wanted)).as_py():
+                found = pc.is_in(names["candidate"], wanted)
+                if not pc.any(found).as_py():
                     continue
-                rows = self._file.read_row_group(group, use_threads=False)
-                for row in rows.filter(pc.is_in(rows["candidate"], wanted)).to_pylist():
+                rows = self._file.read_row_group(group, use_threads=False).filter(found)
+                for row in rows.to_pylist():
                     yield row["candidate"], row["steps"]
         except (OSError, pa.ArrowException, ValueError) as error:
             raise self._damaged(error) from error
@@ -255,14 +241,11 @@ def _decode(steps: NDArray[np.uint16], step_m: float) -> Floats32:
     return range_m
 
 
-# Training pairs of a depth network on disk: preliminary and refined depth maps (paper 1, Fig.
-# 11).
-#
-# Maps are stored as whole steps of range, 0 for no return, one NPZ file per scene.
+# Training pairs of a depth network, one NPZ file per scene: preliminary and refined depth maps
+# (paper 1, Fig. 11) as whole steps of range, 0 for no return.
 
+# Range of one step: 16 bits reach 262 m, farther than any sensor of the paper's Table 1.
 STEP_M = 0.004
-"""Range of one step: 16 bits reach 262 m, farther than any sensor of the paper's Table 1."""
-
 _PARTS = ("preliminary", "refined")
 
 

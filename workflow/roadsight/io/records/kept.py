@@ -21,8 +21,8 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 from roadsight.io.records.sources import sha256
 
+# Versions of the libraries: other ones may give other last digits.
 _LOCK = Path("envs/requirements.lock")
-"""Versions of the libraries: other ones may give other last digits."""
 
 
 def key_of(*parts: Any) -> str:
@@ -37,17 +37,13 @@ def key_of(*parts: Any) -> str:
 def key_of_step(files: Iterable[str | os.PathLike[str]], *settings: Any) -> str:
     """Key of all that a step's rows share: inputs by content, settings, source code, libraries."""
     known = [sha256(path) for path in files]
-    return key_of(known, settings, _code(), sha256(_LOCK) if _LOCK.is_file() else "")
-
-
-def _code() -> list[str]:
-    """Checksums of our modules that this process has loaded."""
-    files = {
+    own = {
         str(module.__file__)
         for name, module in list(sys.modules.items())
         if name.startswith("roadsight") and getattr(module, "__file__", None)
     }
-    return sorted(sha256(file) for file in files)
+    code = sorted(sha256(file) for file in own)
+    return key_of(known, settings, code, sha256(_LOCK) if _LOCK.is_file() else "")
 
 
 class Kept:

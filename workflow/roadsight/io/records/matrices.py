@@ -14,8 +14,8 @@ from roadsight.base.arrays import Floats, Ints, Numbers
 from roadsight.base.errors import InputError
 
 _NPZ = "a sparse matrix written by scipy.sparse.save_npz"
+# Rows and columns together: a damaged file may announce any number, and memory grows with it.
 _MOST = 100_000_000
-"""Rows and columns together: a damaged file may announce any number, and memory grows with it."""
 _NPY = "a 1-D array of numbers written by numpy.save"
 
 

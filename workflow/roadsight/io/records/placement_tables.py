@@ -19,7 +19,6 @@ from roadsight.placement.sight.lanes import Traffic, rasterise_lanes
 from roadsight.placement.sight.passing import CAR, TRUCK
 
 _COLUMNS = ["candidate", "target", "hits"]
-
 _AVAILABILITY = "availability"
 
 
@@ -74,7 +73,12 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
     ------
     InputError : a file is missing, damaged, or does not name its sensor.
     """
-    parts = [part for part in map(_read_part, paths) if len(part)]
+    parts = []
+    for path in paths:
+        part, sensor = read_table(path), pd.Index([_sensor_of(path)])
+        part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), sensor)
+        if len(part):
+            parts.append(part.astype({"candidate": "category", "target": "category"}))
     if not parts:
         return pd.DataFrame({name: [] for name in ("sensor", *_COLUMNS)})
     columns: dict[str, Any] = {
@@ -87,12 +91,6 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _read_part(path: str | os.PathLike[str]) -> pd.DataFrame:
-    part, sensor = read_table(path), _sensor_of(path)
-    part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), pd.Index([sensor]))
-    return part.astype({"candidate": "category", "target": "category"})
-
-
 def _sensor_of(path: str | os.PathLike[str]) -> str:
     sensor = read_about(path).get("sensor")
     if not isinstance(sensor, str):
@@ -102,9 +100,6 @@ def _sensor_of(path: str | os.PathLike[str]) -> str:
             hint="delete it and run the workflow again",
         )
     return sensor
-
-
-# Lanes and their traffic as a table of points on their middle lines.
 
 
 @dataclass(frozen=True)
@@ -122,7 +117,7 @@ class SiteTraffic:
 
 
 def read_traffic(path: str | os.PathLike[str]) -> SiteTraffic:
-    """Read the lanes that `trace_lanes` wrote.
+    """Read the lanes that `trace_lanes` wrote as points on their middle lines.
 
     Raises
     ------
@@ -135,14 +130,10 @@ def read_traffic(path: str | os.PathLike[str]) -> SiteTraffic:
     return SiteTraffic(lanes, float(read_about(path)["availability"]))
 
 
-# Where candidate sensors stand and face.
-
 _POSE = ["x", "y", "z", "yaw_deg"]
-
 _NORMAL = ["normal_x", "normal_y", "normal_z"]
-
+# Column of denser candidates: names of the sensors whose gaps they are for, blanks between.
 FOR_SENSORS = "for_sensors"
-"""Column of denser candidates: names of the sensors whose gaps they are for, blanks between."""
 
 
 def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[str, Floats]:

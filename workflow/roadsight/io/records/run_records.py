@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "roadsight"
-
 _UNKNOWN = "unknown"
-
 _HOUR_S = 3600
 
 
@@ -72,26 +70,24 @@ class RunRecord:
 
     def rows(self) -> list[list[str]]:
         """Name and value, for a table."""
+        first, last = (text[:16].replace("T", " ") for text in (self.started, self.ended))
+        hours, rest_s = divmod(self.elapsed_s, _HOUR_S)
+        minutes, seconds = divmod(rest_s, 60)
+        took = f"{hours:.0f} h {minutes:.0f} min" if hours else f"{minutes:.0f} min {seconds:.0f} s"
         return [
             ["Date", self.date],
             ["Version", f"{PACKAGE} {self.version}"],
             ["Commit", self.commit],
             ["Steps, up to the summary", str(self.steps)],
-            ["First step to last", self._elapsed()],
+            ["First step to last", f"{first} to {last} UTC, {took}"],
             ["CPU time", f"{self.cpu_s:.0f} s"],
             ["Sum of the steps' wall time", f"{self.wall_s:.0f} s"],
             ["Most memory of a step", f"{self.peak_mib:.0f} MiB"],
             ["Packages", ", ".join(f"{name} {found}" for name, found in self.packages.items())],
         ]
 
-    def _elapsed(self) -> str:
-        first, last = (text[:16].replace("T", " ") for text in (self.started, self.ended))
-        hours, rest_s = divmod(self.elapsed_s, _HOUR_S)
-        minutes, seconds = divmod(rest_s, 60)
-        took = f"{hours:.0f} h {minutes:.0f} min" if hours else f"{minutes:.0f} min {seconds:.0f} s"
-        return f"{first} to {last} UTC, {took}"
 
-
+# CPU and wall seconds, MiB, start (epoch) of a step, and whether a site has it once.
 _Step = tuple[float, float, float, float, bool]
 
 
@@ -108,8 +104,9 @@ def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> Ru
     A step's benchmark file is written at its end. ``SOURCE_DATE_EPOCH``, the convention of
     reproducible builds, stands for the clock.
     """
-    used = [row for folder in benchmarks for row in _current(list(_measured(Path(folder))))]
-    now = _now()
+    used = [row for folder in benchmarks for row in _steps(Path(folder))]
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = float(epoch) if epoch.isdigit() else datetime.now(UTC).timestamp()
     return RunRecord(
         _text(min([now, *(row[3] for row in used)])),
         _text(now),
@@ -121,11 +118,6 @@ def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> Ru
         max((row[2] for row in used), default=0.0),
         len(used),
     )
-
-
-def _now() -> float:
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    return float(epoch) if epoch.isdigit() else datetime.now(UTC).timestamp()
 
 
 def _text(epoch_s: float) -> str:
@@ -158,23 +150,21 @@ def _packages() -> dict[str, str]:
     return found
 
 
-def _current(steps: list[_Step]) -> list[_Step]:
-    """Steps without those of shards, plans and rounds that ended before the cloud was read again.
+def _steps(folder: Path) -> list[_Step]:
+    """Steps of a folder of benchmark files.
 
-    Steps that are one for a site write over their files, so that the first of these bounds all.
+    Those of shards, plans and rounds that ended before the cloud was read again are left out. Steps
+    that are one for a site write over their files, so that the first of these bounds all.
     """
-    first = min((step[3] for step in steps if step[4]), default=0.0)
-    return [step for step in steps if step[3] + step[1] >= first]
-
-
-def _measured(folder: Path) -> Iterable[_Step]:
-    """CPU and wall seconds, MiB, start (epoch) of each step, and whether a site has it once."""
+    steps: list[_Step] = []
     for path in sorted(folder.rglob("*.tsv")):
         with path.open(encoding="utf-8", newline="") as lines:
             for row in csv.DictReader(lines, delimiter="\t"):
-                values = tuple(_number(row.get(key)) for key in ("cpu_time", "s", "max_rss"))
-                start = path.stat().st_mtime - values[1]
-                yield values[0], values[1], values[2], start, path.parent == folder
+                cpu_s, wall_s, mib = (_number(row.get(key)) for key in ("cpu_time", "s", "max_rss"))
+                start = path.stat().st_mtime - wall_s
+                steps.append((cpu_s, wall_s, mib, start, path.parent == folder))
+    first = min((step[3] for step in steps if step[4]), default=0.0)
+    return [step for step in steps if step[3] + step[1] >= first]
 
 
 def _number(text: str | None) -> float:
@@ -187,14 +177,9 @@ def _number(text: str | None) -> float:
 
 # What a process has used of the machine: processor time and memory.
 
-_STATUS = Path("/proc/self/status")
-"""Where Linux tells the peak of memory."""
-
-_LINE = "used {cpu_s:.2f} CPU s, at most {peak_mib:.0f} MiB"
-"""Last line of a step's log."""
-
-_PATTERN = re.compile(r"used (\d+\.\d+) CPU s, at most (\d+) MiB")
-"""The same, to be found again."""
+_STATUS = Path("/proc/self/status")  # where Linux tells the peak of memory
+_LINE = "used {cpu_s:.2f} CPU s, at most {peak_mib:.0f} MiB"  # last line of a step's log
+_PATTERN = re.compile(r"used (\d+\.\d+) CPU s, at most (\d+) MiB")  # the same, to be found again
 
 
 @dataclass(frozen=True)
@@ -221,16 +206,11 @@ def own_usage() -> Usage:
     )
     cpu_s = own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
     unit = 2**20 if sys.platform == "darwin" else 2**10
-    peak_mib = max(_own_peak_mib(own.ru_maxrss / unit), children.ru_maxrss / unit)
-    return Usage(cpu_s, peak_mib)
-
-
-def _own_peak_mib(otherwise: float) -> float:
-    """High-water mark of this program; the one of ``getrusage`` may be that of its caller."""
-    if not _STATUS.exists():
-        return otherwise
-    found = re.search(r"VmHWM:\s*(\d+) kB", _STATUS.read_text(encoding="ascii"))
-    return int(found[1]) / 2**10 if found else otherwise
+    own_mib = own.ru_maxrss / unit
+    if _STATUS.exists():  # the peak of this program; that of `getrusage` may be its caller's
+        found = re.search(r"VmHWM:\s*(\d+) kB", _STATUS.read_text(encoding="ascii"))
+        own_mib = int(found[1]) / 2**10 if found else own_mib
+    return Usage(cpu_s, max(own_mib, children.ru_maxrss / unit))
 
 
 def last_usage(log: Path) -> Usage | None:

@@ -13,13 +13,10 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.text_tables import read_cells
 
+# Columns that a table must have, with the least and greatest value; both ways of counting angles
+# are taken.
 _NEEDED = {"lat": (-90.0, 90.0), "lon": (-180.0, 360.0), "bearing": (-360.0, 720.0)}
-"""Columns that a table must have, with the least and greatest value; both ways of counting angles
-are taken."""
-
-_DECIMALS = 4
-"""Of written coordinates in the cloud's unit, a tenth of a millimetre in metres."""
-
+_DECIMALS = 4  # of written coordinates in the cloud's unit, a tenth of a millimetre in metres
 _OPTIONAL = ("depth", "sigma_bearing_deg", "sigma_depth_m")
 
 
@@ -74,10 +71,21 @@ def read_text_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     return table
 
 
-def write_csv(path: str | os.PathLike[str], table: pd.DataFrame) -> None:
-    """Write a table as CSV; NaN becomes an empty cell."""
+def write_csv(
+    path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int] | None = None
+) -> None:
+    """Write a table as CSV; NaN becomes an empty cell.
+
+    Parameters
+    ----------
+    decimals : digits after the point by column; other columns are written as they are.
+    """
+    texts = table.copy()
+    for name, digits in (decimals or {}).items():
+        # Adding zero turns -0 into 0.
+        texts[name] = [f"{round(float(v), digits) + 0.0:.{digits}f}" for v in table[name]]
     with atomic_path(path) as temporary:
-        table.to_csv(temporary, index=False, lineterminator="\n")
+        texts.to_csv(temporary, index=False, lineterminator="\n")
 
 
 def in_native(table: pd.DataFrame, frame: Frame) -> pd.DataFrame:
@@ -114,15 +122,9 @@ def _numbers(
 # What a person decided on single poles: accepted, rejected or moved.
 
 ACCEPT, REJECT, MOVE = "accept", "reject", "move"
-
 _KINDS = (ACCEPT, REJECT, MOVE)
-
-_PLACE = ["x", "y"]
-"""Where the pole lies that is decided on."""
-
-_TO = ["to_x", "to_y"]
-"""Where it is moved to."""
-
+_PLACE = ["x", "y"]  # where the pole lies that is decided on
+_TO = ["to_x", "to_y"]  # where it is moved to
 COLUMNS = ("decision", "kind", *_PLACE, *_TO, "pole")
 
 

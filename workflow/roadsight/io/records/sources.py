@@ -16,12 +16,10 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
-
 _PACKAGES = ("roadsight", "roadsight_worlds", "roadsight_hardcases", "roadsight_training")
+# Settings are declared there; their values reach a stage as its rule's params or are defaults, so
+# that a sentence about one makes no result stale.
 _DECLARED = "roadsight.base.sections"
-"""Settings are declared there; their values reach a stage as its rule's params or are defaults, so
-that a sentence about one makes no result stale."""
-
 _CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")
 
 
@@ -45,11 +43,6 @@ def _package_files() -> list[Path]:
     return sorted(path for name in _PACKAGES for path in (_PACKAGE_ROOT / name).rglob("*.py"))
 
 
-def stage_sources(stage: str) -> list[str]:
-    """First-party files that the module of a stage pulls in, relative to the work folder."""
-    return [str(path) for path in _Sources().of(stage)]
-
-
 class _Sources:
     """The files of the package as they are now, and what each imports of it.
 
@@ -60,7 +53,10 @@ class _Sources:
     """
 
     def __init__(self, memory: Path | None = None) -> None:
-        self._root = _shown_root()
+        # Relative to the work folder, or its link to the package where it has one.
+        link = Path(_PACKAGE_ROOT.name)
+        linked = link.exists() and link.samefile(_PACKAGE_ROOT)
+        self._root = link if linked else Path(os.path.relpath(_PACKAGE_ROOT))
         self._files: dict[str, Path] = {}
         for path in _package_files():
             if not path.is_file():
@@ -117,7 +113,18 @@ class _Sources:
     def _remember(self, memory: Path) -> None:
         # Another way to look for imports finds others.
         parser = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-        before, found = _kept_imports(memory, parser), {}
+        try:
+            kept: Any = read_json(memory)
+        except InputError:
+            kept = None
+        same = isinstance(kept, dict) and kept.get("parser") == parser
+        listed = kept.get("imports") if same else None
+        before: dict[str, list[str]] = {
+            checksum: names
+            for checksum, names in (listed.items() if isinstance(listed, dict) else ())
+            if isinstance(names, list) and all(isinstance(name, str) for name in names)
+        }
+        found: dict[str, list[str]] = {}
         for path in self._files.values():
             content = path.read_bytes()
             checksum = hashlib.sha256(content).hexdigest()
@@ -131,20 +138,6 @@ class _Sources:
             self._names[path] = found[checksum] = names
         if found != before:
             write_json(memory, {"parser": parser, "imports": found})
-
-
-def _kept_imports(memory: Path, parser: str) -> dict[str, list[str]]:
-    """What the same parser found before, by checksum; nothing of a damaged file."""
-    try:
-        kept: Any = read_json(memory)
-    except InputError:
-        return {}
-    found = kept.get("imports") if isinstance(kept, dict) and kept.get("parser") == parser else None
-    return {
-        checksum: names
-        for checksum, names in (found.items() if isinstance(found, dict) else ())
-        if isinstance(names, list) and all(isinstance(name, str) for name in names)
-    }
 
 
 class Stamps:
@@ -192,14 +185,6 @@ def _defaults(section: str) -> str:
     fields = getattr(getattr(import_module(module), name), "model_fields", {})
     values = {key: field.get_default(call_default_factory=True) for key, field in fields.items()}
     return hashlib.sha256(repr(values).encode()).hexdigest()
-
-
-def _shown_root() -> Path:
-    """Relative to the work folder, or its link to the package where it has one."""
-    link = Path(_PACKAGE_ROOT.name)
-    if link.exists() and link.samefile(_PACKAGE_ROOT):
-        return link
-    return Path(os.path.relpath(_PACKAGE_ROOT))
 
 
 def _imports(content: bytes) -> list[str]:

@@ -1,4 +1,4 @@
-"""Surfels as a table: x, y, z, nx, ny, nz, half_m in float32."""
+"""Surfels as a table (x, y, z, nx, ny, nz, half_m in float32), and triangulated terrain."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from roadsight.scene.surfels import Surfels
 from roadsight.scene.terrain.tin import Terrain
 
 _CENTRE = ["x", "y", "z"]
-
 _NORMAL = ["nx", "ny", "nz"]
 
 
@@ -43,9 +42,6 @@ def read_surfels(path: str | os.PathLike[str]) -> Surfels:
     return Surfels(centre_m, normal, frame["half_m"].to_numpy(np.float32))
 
 
-# Triangulated terrain as a NumPy archive.
-
-
 def write_terrain(path: str | os.PathLike[str], terrain: Terrain) -> None:
     """Write ``vertices`` and ``triangles``; the same terrain gives the same bytes."""
     with atomic_path(path) as temporary:
@@ -65,7 +61,7 @@ def read_terrain(path: str | os.PathLike[str]) -> Terrain:
         if (
             vertices.shape[1:] != (3,)
             or triangles.shape[1:] != (3,)
-            or not _within(triangles, len(vertices))
+            or (triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices))
         ):
             raise ValueError("its arrays do not belong together")
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
@@ -75,7 +71,3 @@ def read_terrain(path: str | os.PathLike[str]) -> Terrain:
             hint="delete it and run the workflow again",
         ) from error
     return Terrain(vertices, triangles)
-
-
-def _within(triangles: np.ndarray, vertices: int) -> bool:
-    return not triangles.size or (triangles.min() >= 0 and triangles.max() < vertices)

@@ -6,16 +6,18 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import DTypeLike, NDArray
 
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path
+
+if TYPE_CHECKING:  # short steps without tables of pandas do not wait for it
+    import pandas as pd
 
 _KEY = b"roadsight"
 

@@ -18,12 +18,11 @@ import pandas as pd
 from roadsight.base.errors import InputError
 
 _SEPARATORS = ",;\t"
+# First bytes that tell an encoding.
 _MARKS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
-"""First bytes that tell an encoding."""
 _NUMBER = re.compile(r"\s*[-+]?(\d{1,3}(\.\d{3})+|\d+)?(,\d+)?([eE][-+]?\d+)?\s*")
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[\d.]*,\d+([eE][-+]?\d+)?\s*")
-_LONGEST_CELL = 1 << 20
-"""Letters of a cell; more are a quotation mark that nothing closes."""
+_LONGEST_CELL = 1 << 20  # letters of a cell; more are a quotation mark that nothing closes
 
 
 def read_cells(path: str | os.PathLike[str]) -> pd.DataFrame:
@@ -39,7 +38,12 @@ def read_cells(path: str | os.PathLike[str]) -> pd.DataFrame:
     (_, header), *rest = rows
     while header and not header[-1].strip():
         header = header[:-1]
-    names = _names([name.strip() for name in header])
+    names: list[str] = []  # each once: later ones of the same name are numbered
+    for name in (cell.strip() for cell in header):
+        found, number = name, 1
+        while found in names:
+            found, number = f"{name}.{number}", number + 1
+        names.append(found)
     cells = []
     for line, row in rest:
         if any(cell.strip() for cell in row[len(names) :]):
@@ -52,16 +56,22 @@ def read_cells(path: str | os.PathLike[str]) -> pd.DataFrame:
             )
         cells.append([*row[: len(names)], *[""] * (len(names) - len(row))])
     table = pd.DataFrame(cells, columns=names, dtype=str)
-    if separator != ",":
-        for name in names:
-            table[name] = _with_points(table[name])
+    for name in names if separator != "," else ():
+        # Decimal points, where all cells of a column are numbers and some have commas.
+        filled = [cell for cell in table[name] if cell.strip()]
+        commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in filled)
+        if commas and all(_NUMBER.fullmatch(cell) for cell in filled):
+            whole = table[name].str.replace(".", "", regex=False)
+            table[name] = whole.str.replace(",", ".", regex=False)
     return table
 
 
 def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
     """Line number and cells of each row that is not blank, and the separator."""
     try:
-        text = _text(path.read_bytes()).lstrip("\ufeff")
+        content = path.read_bytes()
+        encoding = next((name for mark, name in _MARKS if content.startswith(mark)), "utf-8")
+        text = content.decode(encoding).lstrip("\ufeff")
     except OSError as error:
         raise InputError("cannot be read", where=str(path), found=error.strerror) from error
     except UnicodeDecodeError as error:
@@ -81,31 +91,3 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
     except csv.Error as error:
         raise InputError(f"is no CSV table ({error})", where=str(path)) from error
     return rows, separator
-
-
-def _text(content: bytes) -> str:
-    for mark, encoding in _MARKS:
-        if content.startswith(mark):
-            return content.decode(encoding)
-    return content.decode("utf-8")
-
-
-def _names(header: list[str]) -> list[str]:
-    """Names of columns, each once: later ones of the same name are numbered."""
-    names: list[str] = []
-    for name in header:
-        number = 1
-        found = name
-        while found in names:
-            found, number = f"{name}.{number}", number + 1
-        names.append(found)
-    return names
-
-
-def _with_points(cells: pd.Series) -> pd.Series:
-    """A column with decimal points, where all of its cells are numbers and some have commas."""
-    filled = [cell for cell in cells if cell.strip()]
-    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in filled)
-    if not commas or not all(_NUMBER.fullmatch(cell) for cell in filled):
-        return cells
-    return cells.str.replace(".", "", regex=False).str.replace(",", ".", regex=False)

@@ -1,4 +1,4 @@
-"""Known poles of a user as points in the local frame."""
+"""Points, seeds, tracks and mounts of a user in the local frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from roadsight.io.vector.vector_sources import EXCHANGED, is_near, load_local
 from roadsight.io.vector.vectors import read_lines
 
 _AXES = (("latitude", "longitude"), ("lat", "lon"), ("x", "y"))
-
 _NAMES = ("id", "name")
 
 
@@ -70,21 +69,17 @@ def read_points(
     wrong = ~np.isfinite(local).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
+        hint = ""
+        if axes[0] != "x" and np.isfinite(numbers[row]).all():
+            exchanged = SiteNorth(frame).to_local(*numbers[row, ::-1, None])
+            hint = EXCHANGED if is_near(exchanged).any() else ""
         raise InputError(
             "holds a place that is no finite number or that the site's CRS cannot hold",
             where=f"{path}, line {row + 2}",
             found=table[list(axes)].iloc[row].tolist(),
-            hint=_hint(frame, axes, numbers[row]),
+            hint=hint,
         )
     return _named(local, table, attributes, texts, path)
-
-
-def _hint(frame: Frame, axes: tuple[str, str], place: Floats) -> str:
-    """Exchanged axes, where they would bring a place (2,) to the site."""
-    if axes[0] == "x" or not np.isfinite(place).all():
-        return ""
-    local = SiteNorth(frame).to_local(*place[::-1, None])
-    return EXCHANGED if is_near(local).any() else ""
 
 
 def _named(
@@ -131,9 +126,6 @@ def attribute_numbers(
     return numbers
 
 
-# What a user knows of where a road is: places on it, and where a vehicle drove.
-
-
 def read_seeds(text: str | None, frame: Frame, where: str) -> Floats | None:
     """Places on the road (k, 2), local metres, of ``x,y;x,y`` in the cloud's coordinates.
 
@@ -178,12 +170,8 @@ def read_track(
     return shapely.get_coordinates(max(lines, key=lambda line: line.length))
 
 
-# Existing poles of a user that may carry sensors, and zones that may not.
-
 _HEIGHT = "height_m"
-
-_HIGHEST_M = 100.0
-"""A mount that is said to be higher is taken for a mistake of unit or column."""
+_HIGHEST_M = 100.0  # a mount that is said to be higher is taken for a mistake of unit or column
 
 
 def read_mounts(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:

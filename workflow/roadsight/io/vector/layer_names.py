@@ -7,9 +7,8 @@ import re
 from pathlib import Path
 
 _LAYER = re.compile(r"(?P<file>.+)\|layername=(?P<layer>[^|]+)(\|.*)?", re.DOTALL)
-
+# Beside the geometry of a shapefile: attributes, index, CRS and encoding.
 _OF_SHAPEFILES = (".dbf", ".shx", ".prj", ".cpg")
-"""Beside the geometry of a shapefile: attributes, index, CRS and encoding."""
 
 
 def split_layer(path: str | os.PathLike[str]) -> tuple[str, str | None]:

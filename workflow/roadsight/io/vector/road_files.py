@@ -26,8 +26,8 @@ from roadsight.poles.risk.inventory import COLUMNS
 from roadsight.poles.risk.routes import UNITS_M, Route
 
 _SPEEDS_KMH = {"speed_kmh": 1.0, "speed_mph": 1.609344}
+# Columns that may name a route, the first that is there.
 _ROUTE = ("route", "route_id", "routeid", "road", "name", "id", "edge")
-"""Columns that may name a route, the first that is there."""
 
 
 def read_inventory(
@@ -308,7 +308,16 @@ def _route_table(
         )
     stated = "EPSG:4326" if axes == ("lon", "lat") else default_crs
     xy = np.column_stack([_numbers(cells[lower[a]], 1.0, path, places, a) for a in axes])
-    local = _to_local(xy, frame, stated, str(path))
+    if stated not in (None, "local", "native"):
+        if frame.crs_wkt is None:
+            raise InputError(f"is in {stated}, but the site is local", where=str(path))
+        own = horizontal(CRS.from_wkt(frame.crs_wkt))
+        mover = Transformer.from_crs(parse_crs(stated, f"CRS of {path}"), own, always_xy=True)
+        xy = np.column_stack(mover.transform(*xy.T))
+    if not np.isfinite(xy).all():
+        row = int(np.argmax(~np.isfinite(xy).all(axis=1)))
+        raise InputError("holds a place that is no finite number", where=f"{path}, line {row + 2}")
+    local = frame.to_local(xy)
     names = np.array(_named(cells, path), object)
     found = []
     for name in dict.fromkeys(names):
@@ -317,17 +326,3 @@ def _route_table(
             raise InputError("has fewer than two vertices", where=f"{path}, route {name}")
         found += _routes(name, [local[rows]], [measure[rows]], f"{path}, route {name}")
     return found
-
-
-def _to_local(xy: Floats, frame: Frame, stated: str | None, where: str) -> Floats:
-    """Places of a table in local metres."""
-    if stated not in (None, "local", "native"):
-        if frame.crs_wkt is None:
-            raise InputError(f"is in {stated}, but the site is local", where=where)
-        own = horizontal(CRS.from_wkt(frame.crs_wkt))
-        mover = Transformer.from_crs(parse_crs(stated, f"CRS of {where}"), own, always_xy=True)
-        xy = np.column_stack(mover.transform(*xy.T))
-    if not np.isfinite(xy).all():
-        row = int(np.argmax(~np.isfinite(xy).all(axis=1)))
-        raise InputError("holds a place that is no finite number", where=f"{where}, line {row + 2}")
-    return frame.to_local(xy)

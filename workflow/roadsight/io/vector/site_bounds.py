@@ -21,8 +21,8 @@ from roadsight.io.images.videologs import read_positions
 from roadsight.io.vector.vector_sources import EXCHANGED
 from roadsight.io.vector.vectors import read_lines, read_polygons
 
+# Features this far off the cloud still belong to the site, such as poles beside its road.
 _REACH_M = 100.0
-"""Features this far off the cloud still belong to the site, such as poles beside its road."""
 
 
 def tell_near(
@@ -79,8 +79,7 @@ def _hint(shapes: NDArray, frame: Frame, box: shapely.Geometry) -> str:
 
 # The part of its clouds that a site is about: a box, a polygon, or a distance from lines.
 
-Within = Callable[[Floats], Bools]
-"""Which places (n, 2), local metres, lie in the extent (n,)."""
+Within = Callable[[Floats], Bools]  # which places (n, 2), local metres, lie in the extent (n,)
 
 
 def read_extent(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -23,33 +22,22 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.text_tables import read_cells
 from roadsight.io.vector.layer_names import split_layer
 
-_GEOJSON = (".geojson", ".json")
-"""Formats whose CRS is WGS 84 unless the file names another."""
-
-_TABLE = (".csv",)
-"""Formats that are read as tables of vertices."""
-
+_GEOJSON = (".geojson", ".json")  # formats whose CRS is WGS 84 unless the file names another
+_TABLE = (".csv",)  # formats that are read as tables of vertices
+# Formats whose files name their CRS where they have one.
 _OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml", ".gpx")
-"""Formats whose files name their CRS where they have one."""
-
-_NATIVE = ("local", "native")
-"""Words for the cloud's own coordinates."""
-
+_NATIVE = ("local", "native")  # words for the cloud's own coordinates
+# Heights that stand for no data in common formats.
 _NO_DATA = (-9999.0, -99999.0, -32768.0, -32767.0)
-"""Heights that stand for no data in common formats."""
-
+# Heights beyond are the least or greatest numbers of a type, which stand for no data too.
 _NO_HEIGHT_M = 1e30
-"""Heights beyond are the least or greatest numbers of a type, which stand for no data too."""
-
 _WGS84 = CRS.from_epsg(4326)
-
+_UNDEFINED = ("undefined", "unknown cartesian")  # how names of CRS begin that stand for none
+# What lies within this distance of a site's origin may belong to it: sites are tens of kilometres
+# at most, and exchanged axes lead further away.
 _SITE_REACH_M = 100_000.0
-"""What lies within this distance of a site's origin may belong to it: sites are tens of kilometres
-at most, and exchanged axes lead further away."""
-
+# What is offered as the reason where it fits.
 EXCHANGED = "with axes exchanged they would lie there: write x before y, or check lat, lon"
-"""What is offered as the reason where it fits."""
-
 Mapping = Callable[[Floats], Floats]
 
 
@@ -70,7 +58,9 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
     file, layer = split_layer(path)
     path = Path(file)
     features, stated = _load(path, layer)
-    if stated is not None and _is_undefined(stated):
+    # As QGIS and R write into a GeoPackage that there is none.
+    none = stated is not None and stated.name.lower().startswith(_UNDEFINED)
+    if stated is not None and (stated.is_engineering or none):
         if default_crs is None:
             stated = _WGS84 if stated.is_geographic else None
             default_crs = "local"
@@ -88,8 +78,10 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
             raise InputError(
                 "has a coordinate that is no finite number", where=f"{path}, feature {number}"
             )
-    if stated is None:
-        stated = _default(path, geometries, frame, default_crs)
+    if stated is None and default_crs not in (None, *_NATIVE):
+        stated = parse_crs(str(default_crs), f"CRS of {path}")
+    elif stated is None and default_crs is None and path.suffix.lower() in _GEOJSON:
+        stated = None if frame.crs_wkt is None else _WGS84
     if stated is not None and stated.is_geographic:
         _check_degrees(path, geometries, stated.name)
     native = _to_native(path, stated, frame)
@@ -100,11 +92,6 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
 def is_near(xy_m: Floats) -> NDArray[np.bool_]:
     """Whether places (n, 2), local metres, may belong to a site; no number is nowhere."""
     return np.abs(xy_m).max(axis=1, initial=0) <= _SITE_REACH_M
-
-
-def _is_undefined(crs: CRS) -> bool:
-    """Whether a CRS says that there is none, as QGIS and R write it into a GeoPackage."""
-    return crs.is_engineering or crs.name.lower().startswith(("undefined", "unknown cartesian"))
 
 
 def with_known_heights(geometry: shapely.Geometry) -> shapely.Geometry:
@@ -158,7 +145,7 @@ def _load(path: Path, layer: str | None = None) -> tuple[gpd.GeoDataFrame, CRS |
     """Features and the CRS that the file itself names."""
     suffix = path.suffix.lower()
     if suffix in _TABLE:
-        return read_line_table(path)
+        return _line_table(path)
     if suffix not in (*_GEOJSON, *_OTHER):
         raise InputError(
             "is no vector file by its name",
@@ -166,28 +153,13 @@ def _load(path: Path, layer: str | None = None) -> tuple[gpd.GeoDataFrame, CRS |
             allowed=", ".join((*_GEOJSON, *_TABLE, *_OTHER)),
         )
     features = read_features(path, layer)
-    if suffix in _GEOJSON and not _names_crs(path):
-        return features, None
-    return features, features.crs
-
-
-def _names_crs(path: Path) -> bool:
-    """Whether a GeoJSON file has a member ``crs``; GDAL does not tell."""
-    try:
-        return "crs" in json.loads(path.read_text(encoding="utf-8-sig"))
+    if suffix not in _GEOJSON:
+        return features, features.crs
+    try:  # GDAL does not tell whether the file has a member `crs`
+        named = "crs" in json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, TypeError, RecursionError):
-        return False
-
-
-def _default(path: Path, geometries: NDArray, frame: Frame, default_crs: str | None) -> CRS | None:
-    """CRS of a file that names none; None for the site's own coordinates."""
-    if default_crs in _NATIVE:
-        return None
-    if default_crs is not None:
-        return parse_crs(default_crs, f"CRS of {path}")
-    if path.suffix.lower() not in _GEOJSON or frame.crs_wkt is None:
-        return None
-    return _WGS84
+        named = False
+    return features, features.crs if named else None
 
 
 def _check_degrees(path: Path, geometries: NDArray, name: str) -> None:
@@ -218,7 +190,10 @@ def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:
         )
     site_crs = CRS.from_wkt(frame.crs_wkt)
     transformer = Transformer.from_crs(horizontal(stated), horizontal(site_crs), always_xy=True)
-    z_factor = _vertical_unit_m(stated, frame) / frame.vertical_unit_m
+    # One unit of z: by the vertical axis, a metre beside degrees, else as at the site.
+    unit_m = 1.0 if stated.is_geographic else frame.vertical_unit_m
+    up = [axis.unit_conversion_factor for axis in stated.axis_info if axis.direction == "up"]
+    z_factor = (up[0] if up else unit_m) / frame.vertical_unit_m
 
     def native(xyz: Floats) -> Floats:
         x, y = transformer.transform(xyz[:, 0], xyz[:, 1])
@@ -236,26 +211,16 @@ def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:
     return native
 
 
-def _vertical_unit_m(crs: CRS, frame: Frame) -> float:
-    """Metres in one unit of z: by the vertical axis, 1 beside degrees, else as at the site."""
-    up = [axis.unit_conversion_factor for axis in crs.axis_info if axis.direction == "up"]
-    if up:
-        return up[0]
-    return 1.0 if crs.is_geographic else frame.vertical_unit_m
+def _line_table(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
+    """Lines of a CSV file, and WGS 84 if they are lon, lat.
 
-
-# Lines as CSV tables: one vertex a row, columns edge, x, y or edge, lon, lat; further z, kind.
-
-
-def read_line_table(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
-    """Lines of a CSV file, vertices in the order of the rows, and WGS 84 if they are lon, lat.
-
-    Raises
-    ------
-    InputError : the file or a column is missing, a number or name is missing or wrong, a line has
-        fewer than two vertices, or its rows differ in kind.
+    One vertex a row, in the order of the rows; columns edge, x, y or edge, lon, lat; further z,
+    kind.
     """
-    table = _table(path)
+    table = read_cells(path)
+    table.columns = table.columns.str.strip().str.lower()
+    if len(table) == 0:
+        raise InputError("holds no vertices", where=str(path))
     axes = next((pair for pair in (["x", "y"], ["lon", "lat"]) if set(pair) <= set(table)), [])
     if not axes or "edge" not in table:
         raise InputError(
@@ -265,32 +230,8 @@ def read_line_table(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
             allowed="edge, x, y or edge, lon, lat; further z, kind",
         )
     names = [*axes, "z"] if "z" in table and (table["z"].str.strip() != "").any() else axes
-    vertices = _numbers(path, table, names)
-    edges = table["edge"].str.strip()
-    if (edges == "").any():
-        raise InputError(
-            "has no edge name", where=f"{path}, line {int(np.argmax(edges == '')) + 2}"
-        )
-    rows = [_line(path, table, vertices, name, edges) for name in dict.fromkeys(edges)]
-    lines = gpd.GeoDataFrame(rows, columns=["edge", "kind", "geometry"], geometry="geometry")
-    if "kind" not in table:
-        lines = lines.drop(columns="kind")
-    return lines, CRS.from_epsg(4326) if axes == ["lon", "lat"] else None
-
-
-def _table(path: Path) -> pd.DataFrame:
-    """Cells of the file as text."""
-    table = read_cells(path)
-    table.columns = table.columns.str.strip().str.lower()
-    if len(table) == 0:
-        raise InputError("holds no vertices", where=str(path))
-    return table
-
-
-def _numbers(path: Path, table: pd.DataFrame, names: list[str]) -> np.ndarray:
-    """Coordinates of every row, shape (rows, 2 or 3)."""
-    numbers = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
-    wrong = np.argwhere(~np.isfinite(numbers))
+    vertices = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+    wrong = np.argwhere(~np.isfinite(vertices))
     if len(wrong):
         row, column = wrong[0]
         raise InputError(
@@ -298,17 +239,21 @@ def _numbers(path: Path, table: pd.DataFrame, names: list[str]) -> np.ndarray:
             where=f"{path}, line {row + 2}",
             found=repr(table[names[column]].iloc[row]),
         )
-    return numbers
-
-
-def _line(
-    path: Path, table: pd.DataFrame, vertices: np.ndarray, name: str, edges: pd.Series
-) -> tuple[Any, ...]:
-    """Name, kind and geometry of one line."""
-    own = (edges == name).to_numpy()
-    kinds = sorted(set(table["kind"][own].str.strip())) if "kind" in table else [""]
-    if len(kinds) > 1:
-        raise InputError("its rows differ in kind", where=f"{path}, edge {name}", found=kinds)
-    if own.sum() < 2:
-        raise InputError("has fewer than two vertices", where=f"{path}, edge {name}")
-    return name, kinds[0], LineString(vertices[own])
+    edges = table["edge"].str.strip()
+    if (edges == "").any():
+        raise InputError(
+            "has no edge name", where=f"{path}, line {int(np.argmax(edges == '')) + 2}"
+        )
+    rows = []
+    for name in dict.fromkeys(edges):
+        own = (edges == name).to_numpy()
+        kinds = sorted(set(table["kind"][own].str.strip())) if "kind" in table else [""]
+        if len(kinds) > 1:
+            raise InputError("its rows differ in kind", where=f"{path}, edge {name}", found=kinds)
+        if own.sum() < 2:
+            raise InputError("has fewer than two vertices", where=f"{path}, edge {name}")
+        rows.append((name, kinds[0], LineString(vertices[own])))
+    lines = gpd.GeoDataFrame(rows, columns=["edge", "kind", "geometry"], geometry="geometry")
+    if "kind" not in table:
+        lines = lines.drop(columns="kind")
+    return lines, CRS.from_epsg(4326) if axes == ["lon", "lat"] else None

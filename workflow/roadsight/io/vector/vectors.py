@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -24,19 +23,14 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_geojson, check_geopackage
 from roadsight.io.vector.vector_sources import load_local, map_coordinates, read_features
 
-KINDS = ("edge", "median", "line")
-"""Kinds of lines along which sensors may stand."""
-
+KINDS = ("edge", "median", "line")  # kinds of lines along which sensors may stand
 LINES = ("LineString", "MultiLineString")
-AREAS = ("Polygon", "MultiPolygon")
-"""Types of geometry that are lines, and areas."""
-
+AREAS = ("Polygon", "MultiPolygon")  # types of geometry that are lines, and areas
+# Columns that may hold a feature's name, the first that is there.
 _NAME_COLUMNS = ("edge", "name", "id")
-"""Columns that may hold a feature's name, the first that is there."""
+# Time of change in a GeoPackage, so that the same features give the same bytes.
 FIXED_DATE = "2000-01-01T00:00:00.000Z"
-"""Time of change in a GeoPackage, so that the same features give the same bytes."""
-_GEOJSON_DECIMALS = "9"
-"""Of degrees: a tenth of a millimetre."""
+_GEOJSON_DECIMALS = "9"  # of degrees: a tenth of a millimetre
 
 
 def write_layers(
@@ -122,13 +116,19 @@ def read_lines(
         crosses itself, shares its name with another, or is of an unknown kind.
     """
     features = load_local(Path(path), frame, default_crs)
-    names = _names(features)
-    kinds = features["kind"] if "kind" in features else ["edge"] * len(features)
-    rows = [
-        (part_name, _kind(kind, f"{path}, {name}"), part)
-        for name, kind, geometry in zip(names, kinds, features.geometry, strict=True)
-        for part_name, part in _parts(name, geometry, f"{path}, {name}")
-    ]
+    column = next((name for name in _NAME_COLUMNS if name in features), None)
+    given = [None] * len(features) if column is None else features[column].tolist()
+    kinds = features["kind"].tolist() if "kind" in features else ["edge"] * len(features)
+    rows = []
+    for number, geometry in enumerate(features.geometry, start=1):
+        named, stated = given[number - 1], kinds[number - 1]
+        name = f"e{number}" if pd.isna(named) or named == "" else str(named)
+        where = f"{path}, {name}"
+        kind = "edge" if pd.isna(stated) or stated == "" else stated
+        for part_name, part in _parts(name, geometry, where):
+            if kind not in KINDS:
+                raise InputError("unknown kind", where=where, found=kind, allowed=", ".join(KINDS))
+            rows.append((part_name, str(kind), part))
     lines = gpd.GeoDataFrame(rows, columns=["edge", "kind", "geometry"], geometry="geometry")
     repeated = lines["edge"][lines["edge"].duplicated()]
     if len(repeated):
@@ -192,25 +192,6 @@ def fixed_date() -> Iterator[None]:
             yield
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
-
-
-def _names(features: gpd.GeoDataFrame) -> list[str]:
-    """Names by the first name column there is; numbered where a feature has none."""
-    column = next((name for name in _NAME_COLUMNS if name in features), None)
-    values = [None] * len(features) if column is None else features[column].tolist()
-    return [
-        f"e{number}" if pd.isna(value) or value == "" else str(value)
-        for number, value in enumerate(values, start=1)
-    ]
-
-
-def _kind(value: Any, where: str) -> str:
-    """Kind of a line; an empty cell means edge."""
-    if pd.isna(value) or value == "":
-        return "edge"
-    if value not in KINDS:
-        raise InputError("unknown kind", where=where, found=value, allowed=", ".join(KINDS))
-    return str(value)
 
 
 def _parts(

@@ -1,10 +1,16 @@
-"""The workflow's own stages, one after the other in one folder, for verbs that need several."""
+"""Cameras of a videolog, by the workflow's own stages one after the other in one folder."""
 
 from __future__ import annotations
 
+import os
+import tempfile
 from pathlib import Path
+from typing import Unpack
 
-from roadsight.api.drive import MANIFESTS, Drive, DriveFiles
+import pandas as pd
+
+from roadsight.api.clouds import Cloud
+from roadsight.api.drive import MANIFESTS, Drive, DriveFiles, DriveOptions
 from roadsight.base.sections.poles import (
     AlignmentLimits,
     Calibration,
@@ -28,9 +34,13 @@ from roadsight.base.sections.scene import (
     PavementOutline,
     Scene,
 )
+from roadsight.geometry.crs import counted_in
+from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
 from roadsight.scene.pavement.choice import choose_method
+from roadsight.stages.command import told_clearly
 from roadsight.stages.poles.align_cameras import align_cameras
 from roadsight.stages.poles.calibrate_drive import calibrate_drives
 from roadsight.stages.poles.find_pole_columns import find_columns
@@ -50,11 +60,117 @@ from roadsight.stages.scene.ingest_cloud import ingest_cloud
 from roadsight.stages.scene.profile_scene import profile_scene
 from roadsight.stages.scene.rasterise_lidar import RoadSource, rasterise_lidar
 
-_ROAD_CLASS = "11"
-"""Class "road surface" of LAS 1.4, as a profile names it."""
+# Columns that are named otherwise than in the workflow.
+_COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
+# Columns of the table of cameras, before what its places are counted in.
+_RETURNED = (
+    *("image", "x", "y", "z", "heading_grid_deg", "pitch_deg", "roll_deg"),
+    *("fx_px", "cx_px", "cy_px", "sigma_heading_deg", "sigma_lateral_m", "residual_px"),
+    *("accepted", "reason"),
+)
+
+
+def align(
+    videolog: pd.DataFrame | str | os.PathLike[str],
+    cloud: Cloud | str | os.PathLike[str],
+    images: str | os.PathLike[str],
+    **options: Unpack[DriveOptions],
+) -> pd.DataFrame:
+    """Where each camera of a videolog stood and looked (paper 2, sections 3.1 and 3.2).
+
+    Parameters
+    ----------
+    videolog : columns image, latitude, longitude (WGS 84, degrees; x, y with ``crs="local"``), or
+        the path of such a CSV.
+    cloud : LAS or LAZ file, or what `read_cloud` made of one; its file is read again.
+    images : folder or ZIP.
+    options : crs, units, vertical_units, overlap : of the cloud, as `read_cloud` takes them.
+        masks : folder of label images; None: a small network labels them. map : what labels mean.
+        hfov_deg : field of view, 0: unknown. intrinsics : CSV of a known lens. baseline : JSON of
+        registered cameras. street : a street mapped from a vehicle, whose edges are curbs.
+        method : auto, road, dense, published or none. max_sigma_heading_deg : cameras whose heading
+        is less certain are not accepted. engine : own or open3d, for the pavement.
+
+    Returns
+    -------
+    one row for each usable image: x, y, z in the cloud's CRS and units, heading_grid_deg clockwise
+    from grid north, pitch_deg, roll_deg, fx_px, cx_px, cy_px, sigma_heading_deg, sigma_lateral_m,
+    residual_px, accepted and the reason where it was not
+
+    Raises
+    ------
+    InputError : a file or a value that cannot be used.
+
+    Examples
+    --------
+    A straight road of 8 m to the north, driven 1 m right of its middle; the images show it as
+    labels alone, and its edges correct what GPS says.
+
+    >>> import os, cv2, laspy, numpy as np, pandas as pd, roadsight
+    >>> rng = np.random.default_rng(1)
+    >>> x, y = rng.uniform([-20, -20], [20, 150], (40_000, 2)).T
+    >>> cloud = laspy.create(point_format=6, file_version="1.4")
+    >>> cloud.x, cloud.y, cloud.z = x, y, rng.normal(0, 0.01, x.size)
+    >>> cloud.classification = np.where(np.abs(x) < 4, 11, 2)
+    >>> cloud.write("road.las")
+    >>> right_m, ahead_m = np.array([[-5, -5, 3, 3], [3, 300, 300, 3]])
+    >>> u, v = 320 + 500 * right_m / ahead_m, 240 + 500 * 2 / ahead_m  # from 2 m above the road
+    >>> corners = np.column_stack([u, v]).round().astype(np.int32)
+    >>> label = cv2.fillPoly(np.zeros((480, 640), np.uint8), [corners], 1)
+    >>> drive = pd.DataFrame({"image": [f"{n}.png" for n in range(5)], "y": 10.0 * np.arange(5)})
+    >>> drive["x"] = 1 + rng.normal(0, 0.3, 5)
+    >>> os.makedirs("labels", exist_ok=True)
+    >>> all(cv2.imwrite(f"labels/{image}", label) for image in drive["image"])
+    True
+    >>> cameras = roadsight.align(drive, "road.las", "labels", masks="labels", crs="local",
+    ...                           hfov_deg=65, max_sigma_heading_deg=0.5)
+    >>> bool(cameras["accepted"].all()), bool((np.abs(cameras["x"] - 1) < 0.2).all())
+    (True, True)
+    >>> bool((np.abs((cameras["heading_grid_deg"] + 180) % 360 - 180) < 0.5).all())
+    True
+    """
+    if isinstance(cloud, Cloud):
+        read: DriveOptions = {
+            "crs": cloud.choice.crs,
+            "units": cloud.choice.units,
+            "vertical_units": cloud.choice.vertical_units,
+            "overlap": cloud.overlap,
+        }
+        path, options = cloud.native.header.path, {**read, **options}
+    else:
+        path = Path(cloud)
+    drive = Drive(path, str(images), **options)
+    if not isinstance(videolog, pd.DataFrame):
+        return cameras_of(str(videolog), drive)
+    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+        table = Path(folder) / "videolog.csv"
+        videolog.to_csv(table, index=False)
+        return cameras_of(str(table), drive)
+
+
+def cameras_of(videolog: str, drive: Drive) -> pd.DataFrame:
+    """Table of cameras as `align` returns it.
+
+    Raises
+    ------
+    InputError : as `align`.
+    """
+    with told_clearly("align"), tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+        chain = Chain(Path(folder), videolog, drive)
+        chain.scene()
+        chain.track()
+        chain.road()
+        chain.images(drive)
+        cameras = read_table(chain.cameras(drive)).rename(columns=_COLUMNS)
+        frame = Frame.from_dict(read_json(chain.frame))
+    cameras[["x", "y", "z"]] = frame.to_native(cameras[["x", "y", "z"]].to_numpy(float))
+    return cameras[list(_RETURNED)].assign(**counted_in(frame))
+
+
+_ROAD_CLASS = "11"  # class "road surface" of LAS 1.4, as a profile names it
+# Share of points with that class from which a cloud counts as classified; below it stand stray
+# points, and the pavement is sought by shape.
 _LEAST_ROAD = 1e-4
-"""Share of points with that class from which a cloud counts as classified; below it stand stray
-points, and the pavement is sought by shape."""
 
 
 class Chain:
