@@ -17,16 +17,11 @@ _LEFT = 56.0  # numbers of the y axis
 _RIGHT = 14.0
 _TOP = 12.0
 _BOTTOM = 42.0  # numbers and title of the x axis
-_TICKS = 6
-"""Most numbers on an axis; more would touch each other on a plot of ordinary size."""
-_CHARACTER = 5.8
-"""About the width of a label's letter, px."""
-_LINE = 11.0
-"""About the height of a label's letters, px."""
-
+_TICKS = 6  # Most numbers on an axis; more would touch each other on a plot of ordinary size
+_CHARACTER = 5.8  # About the width of a label's letter, px
+_LINE = 11.0  # About the height of a label's letters, px
 Span = tuple[float, float]
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom, px."""
+Box = tuple[float, float, float, float]  # Left, top, right, bottom, px
 
 
 def span_of(

@@ -27,11 +27,10 @@ from roadsight.report.printed_map import plan_sketch
 from roadsight.report.site.page import FORMAT
 from roadsight.report.site.plan_view import best_plan, plan_views
 
-_ROWS_SHOWN = 100
-"""Rows of a long table that are shown before a reader asks for the rest."""
-
+_ROWS_SHOWN = 100  # Rows of a long table that are shown before a reader asks for the rest
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
 
+# Backgrounds of the map and their titles, in the order in which they are offered
 _BELOW = {
     "orthophoto": "Orthophoto",
     "relief": "Terrain relief",
@@ -40,7 +39,6 @@ _BELOW = {
     "height": "Height above ground, to 12 m",
     "plain": "Nothing",
 }
-"""Backgrounds of the map and their titles, in the order in which they are offered."""
 
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
@@ -372,11 +370,8 @@ def _unit_sign(name: str) -> str:
 
 # Where a map is: what turns its local metres into native coordinates and degrees.
 
-_SIDE = 5
-"""Places a side at which the projection is asked; six coefficients need no more."""
-
-_LEAST_SPAN_M = 100.0
-"""The box is at least so wide, so that the coefficients are determined."""
+_SIDE = 5  # Places a side at which the projection is asked; six coefficients need no more
+_LEAST_SPAN_M = 100.0  # The box is at least so wide, so that the coefficients are determined
 
 
 def map_place(frame: Frame, bounds_m: ArrayLike, unit: str) -> dict[str, Any]:
@@ -419,6 +414,7 @@ def _fitted(u: Floats, v: Floats, degrees: Floats) -> Floats:
 
 # The files of a site that people open, with their sizes and what opens them.
 
+# Pattern within the site's folder, what it holds, what opens it
 FILES = (
     ("report.pdf", "the report on paper", "any PDF reader"),
     ("stakeout.csv", "where to set the sensors", "a spreadsheet, a total station"),
@@ -455,7 +451,6 @@ FILES = (
     ("effects.json", "effects simulated or skipped, and why", "programs"),
     ("summary.json", "all of it in numbers", "programs"),
 )
-"""Pattern within the site's folder, what it holds, what opens it."""
 
 _STEPS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 

@@ -56,8 +56,7 @@ TEMPLATES = (
     "common.html.j2",
 )
 
-ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
-"""Names of the files that `render_report` needs."""
+ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)  # Names of the files that `render_report` needs
 
 
 # How all pages fill their templates.

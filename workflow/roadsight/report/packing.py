@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bytes, Floats
 
-_LEVELS = 65535
-"""Steps of a coordinate within its span: what 16 bits hold."""
+_LEVELS = 65535  # Steps of a coordinate within its span: what 16 bits hold
 
 
 def pack(values: ArrayLike, dtype: str) -> dict[str, Any]:

@@ -118,8 +118,7 @@ def _about(path: tuple[str, ...]) -> str:
 
 # The table of physical effects: which were simulated, which were skipped, and why.
 
-_UNITS = {"deg": "°", "m2": " m²"}
-"""Units as people write them, where plain text has others."""
+_UNITS = {"deg": "°", "m2": " m²"}  # Units as people write them, where plain text has others
 
 
 def effect_rows(effects: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:

@@ -30,23 +30,13 @@ from roadsight.report.printed_map import (
 )
 from roadsight.report.site.plan_view import best_plan, plan_views
 
+# Columns of the hazard table that paper has no room for; the page and hazard.csv have them
 _TOO_LONG = ("reasons", "route", "shielded")
-"""Columns of the hazard table that paper has no room for; the page and hazard.csv have them."""
-
-_WIDTH_MM = 164.0
-"""Width of a map: an A4 page less its margins and the coordinates beside the map."""
-
-_THUMBNAIL_MM = 95.0
-"""Height of the map on the first page."""
-
-_MAP_MM = 190.0
-"""Height of a map on a page of its own."""
-
-_PICTURES_SHOWN = 20
-"""Pictures of poles, the most dangerous first: a page."""
-
-_GAPS_SHOWN = 40
-"""Uncovered targets that are listed; all are in solution.json and on the map."""
+_WIDTH_MM = 164.0  # Width of a map: an A4 page less its margins and the coordinates beside the map
+_THUMBNAIL_MM = 95.0  # Height of the map on the first page
+_MAP_MM = 190.0  # Height of a map on a page of its own
+_PICTURES_SHOWN = 20  # Pictures of poles, the most dangerous first: a page
+_GAPS_SHOWN = 40  # Uncovered targets that are listed; all are in solution.json and on the map
 
 
 def paper_content(
@@ -280,23 +270,14 @@ def _pole(number: int, pole: Mapping[str, Any], frame: Frame) -> list[str]:
 # A still of the 3D view: points of the cloud in perspective, nearer ones before farther ones.
 
 _WIDTH_PX = 1800
-
-_HEIGHT_PX = 900
-"""Size of the still: 180 mm on paper at 250 dots per inch."""
-
-_FIELD_DEG = 40.0
-"""Horizontal field of view, about that of a camera with a normal lens."""
-
+_HEIGHT_PX = 900  # Size of the still: 180 mm on paper at 250 dots per inch
+_FIELD_DEG = 40.0  # Horizontal field of view, about that of a camera with a normal lens
+# The eye looks down so steeply: lower, cars hide the road; higher, posts have no length
 _ELEVATION_DEG = 35.0
-"""The eye looks down so steeply: lower, cars hide the road; higher, posts have no length."""
-
+# Points are drawn this large, so that a sample of 150,000 closes a road of some hundred metres
 _POINT_M = 0.35
-"""Points are drawn this large, so that a sample of 150,000 closes a road of some hundred metres."""
-
 _LARGEST_PX = 7
-
-_BACKGROUND = (252, 250, 248)
-"""Almost white, blue first."""
+_BACKGROUND = (252, 250, 248)  # Almost white, blue first
 
 
 @dataclass(frozen=True)

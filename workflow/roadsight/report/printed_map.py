@@ -18,30 +18,20 @@ from roadsight.report.packing import unpack, unpack_points
 from roadsight.report.poles.poles_layers import LEVELS
 from roadsight.report.site.layers import UNKNOWN_HEIGHT
 
+# Targets that no sensor, one, two, and three or more sensors see
 SEEN = ("#dc2626", "#93c5fd", "#3b82f6", "#1e3a8a")
-"""Targets that no sensor, one, two, and three or more sensors see."""
-
 SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
-
 SENSOR = "#b45309"
-
 _PAVEMENT = "#cbd5e1"
-
 _EDGE, _MEDIAN = "#0f172a", "#8a6d1f"
-
-_SKETCH_MM = (84.0, 46.0)
-"""Size of the sketch in units in which a sensor's mark is 4 wide."""
-
-_MARGIN_M = 5.0
-"""Air around what a map is of."""
-
+_SKETCH_MM = (84.0, 46.0)  # Size of the sketch in units in which a sensor's mark is 4 wide
+_MARGIN_M = 5.0  # Air around what a map is of
 _LOW = np.array([148, 163, 184])
-
+# Colours of points at the ground and 8 m above it, where the cloud has none of its own
 _HIGH = np.array([21, 94, 117])
-"""Colours of points at the ground and 8 m above it, where the cloud has none of its own."""
-
 _HIGH_M = 8.0
 
+# Pale colours of nothing, other, ground, vegetation, building, road and bridge
 _KINDS = np.array(
     [
         (248, 250, 252),
@@ -54,7 +44,6 @@ _KINDS = np.array(
     ],
     np.uint8,
 )
-"""Pale colours of nothing, other, ground, vegetation, building, road and bridge."""
 
 
 def times_seen(plan: dict[str, Any], targets: int) -> NDArray:
@@ -207,24 +196,15 @@ def _up(page: dict[str, Any]) -> str:
 
 # A sheet of map: local metres onto millimetres of paper, at one scale in both directions.
 
+# Denominators that scale rulers have; beyond the last, whole multiples of it
 SCALES = (100, 200, 250, 500, 750, 1000, 1250, 1500, 2000, 2500, 4000, 5000, 7500, 10_000)
-"""Denominators that scale rulers have; beyond the last, whole multiples of it."""
-
-_GRID_STEPS_M = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
-"""Steps of the coordinate ticks."""
-
+_GRID_STEPS_M = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # Steps of the coordinate ticks
+# Ticks are no closer on paper, so that six digits of a coordinate fit between them
 _TICK_EVERY_MM = 30.0
-"""Ticks are no closer on paper, so that six digits of a coordinate fit between them."""
-
-_BAR_SHARE = 0.3
-"""The scale bar is no longer than this share of the map's width."""
-
+_BAR_SHARE = 0.3  # The scale bar is no longer than this share of the map's width
+# Name of the pattern of hatched areas, and its colour
 HATCH, HATCH_COLOUR = "hatch", "#7c2d12"
-"""Name of the pattern of hatched areas, and its colour."""
-
-_MARKS_APART_MM = 3.4
-"""Numbered marks are 4 mm wide; nearer ones hide each other's numbers."""
-
+_MARKS_APART_MM = 3.4  # Numbered marks are 4 mm wide; nearer ones hide each other's numbers
 _FONT = "Libertinus Serif"
 
 

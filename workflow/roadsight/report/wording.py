@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_NARROW = "\u202f"
-"""Narrow space that does not break, between a number and its unit."""
-_TIMES = "\u00d7"
-"""Multiplication sign."""
-_MINUS = "\u2212"
-"""Minus sign, as wide as a plus."""
+_NARROW = "\u202f"  # Narrow space that does not break, between a number and its unit
+_TIMES = "\u00d7"  # Multiplication sign
+_MINUS = "\u2212"  # Minus sign, as wide as a plus
+# Units as people write them, by the end of a value's name
 _UNITS = {
     "per_m2": "/m²",
     "per_s": "/s",
@@ -29,9 +27,9 @@ _UNITS = {
     "share": "%",
     "shares": "%",
 }
-"""Units as people write them, by the end of a value's name."""
+# Values that are shares though their names do not end so
 _SHARES = {"accuracy", "precision", "recall", "f1", "area_iou", "outline_found_within_1m"}
-"""Values that are shares though their names do not end so."""
+# Words of names that are not written in small letters, or not as they are said
 _SPELLING = {
     "aadt": "AADT",
     "f1": "F1",
@@ -46,7 +44,7 @@ _SPELLING = {
     "cpu": "CPU",
     "z": "z",
 }
-"""Words of names that are not written in small letters, or not as they are said."""
+# Values whose names tell too little
 _NAMES = {
     "area_iou": "Overlap of areas (IoU)",
     "area_m2": "Occupied area",
@@ -66,9 +64,7 @@ _NAMES = {
     "relief_m": "Relief, 5th to 95th percentile",
     "spacing_m": "Point spacing",
 }
-"""Values whose names tell too little."""
-MISSING = "\u2013"
-"""A dash where there is no value."""
+MISSING = "\u2013"  # A dash where there is no value
 
 
 def label(key: str) -> str:

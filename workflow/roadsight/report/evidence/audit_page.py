@@ -10,7 +10,6 @@ from roadsight.report.wording import label, number, percent, seconds
 
 TEMPLATE = "audit.html.j2"
 STYLES = ("base.css", "parts.css")
-
 Row = Mapping[str, Any]
 
 

@@ -12,12 +12,8 @@ from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "bench.css")
 TEMPLATE = "bench.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_bench` needs."""
-
-BOUND = "bound: "
-"""Begins the name of what nothing can be faster than."""
-
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_bench` needs
+BOUND = "bound: "  # Begins the name of what nothing can be faster than
 # Margins and sizes of the plot, px.
 _LEFT = 400.0  # names of the rows
 _RIGHT = 60.0  # the ratio behind the longest bar
@@ -25,8 +21,8 @@ _TOP = 12.0
 _ROW = 20.0
 _BOTTOM = 34.0  # numbers and title of the axis
 _WIDTH = 1060.0
+# Ratios below a hundredth are drawn as one, so that one of them does not squeeze all bars
 _LEAST_DECADE = -2
-"""Ratios below a hundredth are drawn as one, so that one of them does not squeeze all bars."""
 
 
 def render_bench(

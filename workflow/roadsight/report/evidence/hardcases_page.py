@@ -14,11 +14,9 @@ from roadsight_hardcases.case import CaseResult
 
 STYLES = ("base.css", "parts.css", "hardcases.css")
 TEMPLATE = "hardcases.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_hardcases` needs."""
-
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_hardcases` needs
+# Errors over bounds are drawn from 1e-9 to 1e9; smaller and larger ones stand at the ends
 _DECADES = 9
-"""Errors over bounds are drawn from 1e-9 to 1e9; smaller and larger ones stand at the ends."""
 # Margins and sizes of the plot, px.
 _LEFT = 300.0  # names of the cases
 _RIGHT = 24.0

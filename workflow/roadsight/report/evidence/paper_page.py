@@ -18,6 +18,7 @@ STYLES = ("base.css", "parts.css", "poles.css", "truth.css")
 ASSETS = (TEMPLATE, *STYLES)
 _NONE = "\u2013"
 
+# What a reader has to know of each item
 _ABOUT = {
     "Table 2 placement": "Facts of each site. Ours are generated.",
     "Table 4": "Pavement points against the truth. The study labelled its own sites.",
@@ -42,7 +43,6 @@ _ABOUT = {
     "Voxel size": "The raster of the LiDAR cloud by the edge of a voxel. The study's cloud has 34"
     " million points, ours a million for each kilometre.",
 }
-"""What a reader has to know of each item."""
 
 Row = Mapping[str, Any]
 

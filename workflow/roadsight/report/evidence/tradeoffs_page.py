@@ -15,8 +15,7 @@ from roadsight.report.wording import number, percent
 
 TEMPLATE = "tradeoffs.html.j2"
 STYLES = ("base.css", "parts.css", "poles.css")
-_MILE_KM = 1.609344
-"""An international mile; published figures are by the mile."""
+_MILE_KM = 1.609344  # An international mile; published figures are by the mile
 _PRECISION = {
     "coordinate_error_m": "Largest error of a coordinate",
     "normal_error_deg": "Error of normals, 95th percentile",

@@ -16,9 +16,7 @@ from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "truth.css")
 TEMPLATE = "truth.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_truth` needs."""
-
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_truth` needs
 _NONE = "\u2013"
 _WIDTH = 720.0
 _LEFT = 190.0

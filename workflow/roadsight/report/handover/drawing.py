@@ -21,16 +21,13 @@ from roadsight.report.handover.layers import Layer
 
 logging.getLogger("ezdxf").setLevel(logging.WARNING)
 
-_VERSION = "R2010"
-"""Release of the format that every CAD of the last ten years reads."""
-_TEXT_M = 0.8
-"""Height of texts: 1.6 mm on a plan of 1:500."""
-_MARK_M = 0.5
-"""Radius of the marks of sensors and poles."""
+_VERSION = "R2010"  # Release of the format that every CAD of the last ten years reads
+_TEXT_M = 0.8  # Height of texts: 1.6 mm on a plan of 1:500
+_MARK_M = 0.5  # Radius of the marks of sensors and poles
+# Codes of drawing units; 21 is the US survey foot
 _UNITS = {"metre": units.M, "foot": units.FT, "us-survey-foot": 21}
-"""Codes of drawing units; 21 is the US survey foot."""
+# Characters that names of layers in a drawing must not have
 _FORBIDDEN = str.maketrans(dict.fromkeys('<>/\\":;?*|=`', "_"))
-"""Characters that names of layers in a drawing must not have."""
 
 
 def drawing(layers: Sequence[Layer], frame: Frame, unit: str) -> str:

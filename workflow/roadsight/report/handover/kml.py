@@ -18,10 +18,9 @@ from roadsight.report.handover.styles import Style
 
 _SPACE = "http://www.opengis.net/kml/2.2"
 _DOT = "http://maps.google.com/mapfiles/kml/shapes/placemark_circle.png"
-_DECIMALS = 8
-"""Of degrees: a millimetre."""
+_DECIMALS = 8  # Of degrees: a millimetre
+# Layers with more features, such as targets, are left out: online maps refuse or choke on them
 _MOST_FEATURES = 500
-"""Layers with more features, such as targets, are left out: online maps refuse or choke on them."""
 
 
 def kml(title: str, layers: Sequence[Layer], frame: Frame) -> str:

@@ -48,8 +48,8 @@ _BY_POINTS = (
     Category("1", "fewer than 10", "#3b82f6"),
     Category("0", "none", "#dc2626"),
 )
+# On the lowest quarter of a target; plans of LiDARs have points, those of cameras pixels
 _LOW = "coalesce(attribute('points_1'), attribute('pixels_1'))"
-"""On the lowest quarter of a target; plans of LiDARs have points, those of cameras pixels."""
 _EDGE = Style("line", "#0f172a", size_mm=0.4)
 SENSOR_STYLE = Style("marker", "#b45309", size_mm=3.4, label="number")
 

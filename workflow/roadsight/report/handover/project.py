@@ -12,9 +12,9 @@ from roadsight.geometry.crs import code
 from roadsight.report.handover.layers import Layer, Linked
 from roadsight.report.handover.styles import symbology
 
-_VERSION = "3.34.0"
-"""QGIS whose project files these are; later ones read them."""
+_VERSION = "3.34.0"  # QGIS whose project files these are; later ones read them
 _TYPES = {"Point": "Point", "LineString": "Line", "Polygon": "Polygon"}
+# Renderer of a terrain model: light from the north-west and three more directions
 _RELIEF = {
     "type": "hillshade",
     "band": "1",
@@ -24,11 +24,8 @@ _RELIEF = {
     "multidirection": "1",
     "opacity": "0.6",
 }
-"""Renderer of a terrain model: light from the north-west and three more directions."""
-_SHOWN_PLANS = 1
-"""Plans that are switched on when the project is opened."""
-_MARGIN = 0.05
-"""Of the extent, around it."""
+_SHOWN_PLANS = 1  # Plans that are switched on when the project is opened
+_MARGIN = 0.05  # Of the extent, around it
 
 
 def project(

@@ -16,8 +16,8 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.placement.plans.handover import offsets_m, stations_m
 from roadsight.report.handover.layers import sensor_table
 
+# Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree
 _DECIMALS = {"latitude": 8, "longitude": 8}
-"""Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree."""
 
 
 def stakeout(

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-_VERSION = "3.34.0"
-"""QGIS whose style language this is; later ones read it."""
+_VERSION = "3.34.0"  # QGIS whose style language this is; later ones read it
 _OUTLINE = "#ffffff"
 
 

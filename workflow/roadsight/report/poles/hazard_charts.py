@@ -10,23 +10,21 @@ import pandas as pd
 from roadsight.report.charts import Chart
 from roadsight.report.wording import number
 
+# Drawings of a site: the worst by rank. The layer `cross_sections` and the table have all.
 MOST = 24
-"""Drawings of a site: the worst by rank. The layer `cross_sections` and the table have all."""
 _WIDE = 470.0
+# Pixels of a chart that its axes take, across and upwards (`roadsight.report.charts`)
 _AXES = (70.0, 54.0)
-"""Pixels of a chart that its axes take, across and upwards (`roadsight.report.charts`)."""
+# Heights of the plotted part, px: flat sections stay readable, cliffs do not fill the page
 _LEAST, _TALLEST = 90.0, 300.0
-"""Heights of the plotted part, px: flat sections stay readable, cliffs do not fill the page."""
 _ROW_PX = 13.0
-_CHARACTER_PX = 6.0
-"""Height and width of the letters of a drawing."""
-_POST_M = 1.2
-"""How much of an object is drawn above its ground."""
+_CHARACTER_PX = 6.0  # Height and width of the letters of a drawing
+_POST_M = 1.2  # How much of an object is drawn above its ground
 _PLACES = ("start_m", "end_m", "rise_m")
 _STEPS = ("kerb", "drop-off", "wall")
 _ENDS = ("least", "greatest")
+# Ends of a range this near to each other are told as one number: tenths of a metre are shown
 SAME_M = 0.05
-"""Ends of a range this near to each other are told as one number: tenths of a metre are shown."""
 
 
 def hazard_profiles(

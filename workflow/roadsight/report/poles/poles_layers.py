@@ -21,15 +21,9 @@ from roadsight.report.packing import pack, pack_points
 from roadsight.report.site.thinning import thin
 
 ACCEPTED, REJECTED, UNUSED = 0, 1, 2
-
-_MOST_EDGE_POINTS = 60_000
-"""Points of road edges on the map, packed into the page."""
-
-_OPEN_RAY_M = 30.0
-"""Length of the drawn ray of a sighting without a depth."""
-
-_MOST_APART_DEG = 10.0
-"""A ray and a pole further apart in direction do not belong together."""
+_MOST_EDGE_POINTS = 60_000  # Points of road edges on the map, packed into the page
+_OPEN_RAY_M = 30.0  # Length of the drawn ray of a sighting without a depth
+_MOST_APART_DEG = 10.0  # A ray and a pole further apart in direction do not belong together
 
 
 def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:
@@ -209,20 +203,15 @@ def finite(value: Any) -> Any:
 
 # The LiDAR's classes seen from above, as a small picture for the map.
 
+# What a pixel shows; of several in one pixel the last one wins
 KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
-"""What a pixel shows; of several in one pixel the last one wins."""
-
-LEVELS = 40
-"""Grey levels between two kinds, so that no rounding in a browser mixes them up."""
-
+LEVELS = 40  # Grey levels between two kinds, so that no rounding in a browser mixes them up
+# Colours of the picture by class of LAS: vegetation, of any height, has one
 _KIND_OF_CLASS = {2: 2, 3: 3, 4: 3, 5: 3, 6: 4, 11: 5, 17: 6}
-"""Colours of the picture by class of LAS: vegetation, of any height, has one."""
-
+# Cells along the longer side of the picture; cells are merged until it is no larger
 _MOST_CELLS = 2200
-"""Cells along the longer side of the picture; cells are merged until it is no larger."""
-
+# The picture ends so far from the route: what is further off tells nothing of its poles
 _REACH_M = 80.0
-"""The picture ends so far from the route: what is further off tells nothing of its poles."""
 
 
 def class_layer(top: TopRaster, cameras_xy_m: ArrayLike) -> dict[str, Any] | None:

@@ -36,17 +36,11 @@ from roadsight.report.poles.poles_layers import (
 from roadsight.report.site.cautions import Caution, told_cautions
 from roadsight.report.wording import counted, number, percent
 
-MOST_PICTURES = 60
-"""Pictures of poles in the page, which holds them itself: some 5 kB each."""
-
-FORMAT = "roadsight.poles-page/1"
-"""Of the page's content; the report refuses others."""
-
+MOST_PICTURES = 60  # Pictures of poles in the page, which holds them itself: some 5 kB each
+FORMAT = "roadsight.poles-page/1"  # Of the page's content; the report refuses others
 ReadImage = Callable[[str], Bytes]
-
+# Id of a pole, the view that shows it best, and what is cut out of it
 Picture = tuple[str, View, Bytes]
-"""Id of a pole, the view that shows it best, and what is cut out of it."""
-
 ReadEdges = Callable[[str], pd.DataFrame]
 
 
@@ -266,23 +260,12 @@ def plain(content: Any) -> Any:
 
 # What limits the worth of located poles.
 
-_FEW_IMAGES = 20
-"""Fewer images are warned of: most poles are then seen from few sides."""
-
-_FEW_SIGHTINGS = 20
-"""Fewer sightings are warned of."""
-
-_FEW_CHECKED = 10
-"""Fewer known poles are warned of: a mean over them says little."""
-
-_LEAST_ALIGNED = 0.7
-"""A smaller share of aligned images is warned of."""
-
-_WIDE_SIGMA_M = 5.0
-"""Poles with a longer major half axis (one sigma) count as uncertain."""
-
-_WIDE_SHARE = 0.2
-"""A larger share of uncertain poles is warned of."""
+_FEW_IMAGES = 20  # Fewer images are warned of: most poles are then seen from few sides
+_FEW_SIGHTINGS = 20  # Fewer sightings are warned of
+_FEW_CHECKED = 10  # Fewer known poles are warned of: a mean over them says little
+_LEAST_ALIGNED = 0.7  # A smaller share of aligned images is warned of
+_WIDE_SIGMA_M = 5.0  # Poles with a longer major half axis (one sigma) count as uncertain
+_WIDE_SHARE = 0.2  # A larger share of uncertain poles is warned of
 
 
 def pole_cautions(
@@ -358,26 +341,14 @@ def _sentence(text: str) -> str:
 
 # A few images of the route with what was projected onto them and what was found in them.
 
-MOST_IMAGES = 24
-"""Images in the page, which holds them itself: each adds its bytes."""
-
-WIDTH_PX = 640
-"""Width to which larger images are reduced."""
-
-_JPEG_QUALITY = 74
-"""Of reduced images: small, and edges still stand out."""
-
-_MOST_POINTS = 1200
-"""Points of each kind that are drawn on an image."""
-
+MOST_IMAGES = 24  # Images in the page, which holds them itself: each adds its bytes
+WIDTH_PX = 640  # Width to which larger images are reduced
+_JPEG_QUALITY = 74  # Of reduced images: small, and edges still stand out
+_MOST_POINTS = 1200  # Points of each kind that are drawn on an image
+# Points nearer to the camera are not drawn: they are under the vehicle or far out of the image
 _NEAR_M = 3.0
-"""Points nearer to the camera are not drawn: they are under the vehicle or far out of the image."""
-
-_FAR_M = 80.0
-"""Points further from the camera are not drawn: they would crowd at the horizon."""
-
-_STEPS_PER_PX = 8
-"""Places of drawn points are stored in eighths of a pixel."""
+_FAR_M = 80.0  # Points further from the camera are not drawn: they would crowd at the horizon
+_STEPS_PER_PX = 8  # Places of drawn points are stored in eighths of a pixel
 
 
 def choose_images(cameras: pd.DataFrame, most: int = MOST_IMAGES) -> list[int]:
@@ -492,9 +463,7 @@ def _axis(row: dict[Any, Any]) -> tuple[float, float, float, float]:
     return row["u_foot"], row["v_foot"], top_u, row["v_min"]
 
 
-_MOST_SAMPLES = 400
-"""Points of the plot of a fit; more would only cover each other."""
-
+_MOST_SAMPLES = 400  # Points of the plot of a fit; more would only cover each other
 _SOURCES = ("network", "ground", "lidar")
 
 

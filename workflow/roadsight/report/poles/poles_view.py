@@ -36,13 +36,11 @@ _HAZARD_TITLES = {
     "objects_per_km": "Fixed objects per km",
 }
 
+# Of the roadside columns, what the report's table shows; hazard.csv has all of them
 _HAZARD_TOLD = {"rank", "route", "shielded", "hazard_rating_1_to_7", "foreslope_ratio", "reasons"}
-"""Of the roadside columns, what the report's table shows; hazard.csv has all of them."""
-
 _HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"} | (
     set(ROADSIDE_COLUMNS) - _HAZARD_TOLD
 )
-
 _RATINGS = ("high", "medium", "low", "unknown")
 
 
@@ -353,18 +351,12 @@ def _files(names: Sequence[str]) -> list[dict[str, str]]:
 
 # The plots of the poles job, made from the content of ``poles/page.json``.
 
-_WIDE = 1000.0
-"""Width of a plot along a route, px: about that of the page."""
-
-_LOW = 176.0
-"""Height of a plot along a route, px: several stand below each other."""
-
+_WIDE = 1000.0  # Width of a plot along a route, px: about that of the page
+_LOW = 176.0  # Height of a plot along a route, px: several stand below each other
+# Share of the values that an axis must show; a few wild ones lie outside, so that the others are
+# not squeezed
 _SHOWN_SHARE = 0.99
-"""Share of the values that an axis must show; a few wild ones lie outside, so that the others are
-not squeezed."""
-
-_BINS = 20
-"""Bars of a histogram."""
+_BINS = 20  # Bars of a histogram
 
 _PANELS = (
     ("residual_px", None, "Residual, px"),
@@ -372,12 +364,12 @@ _PANELS = (
     ("lateral_m", "sigma_lateral_m", "Moved right, m"),
 )
 
+# Where a single distance comes from, in words
 SOURCES = {
     "network": "the depth network",
     "ground": "the ground under its foot",
     "lidar": "a LiDAR column",
 }
-"""Where a single distance comes from, in words."""
 
 
 def route_charts(route: dict[str, Any]) -> list[str]:

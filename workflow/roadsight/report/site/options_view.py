@@ -12,8 +12,7 @@ from roadsight.report.charts import Chart, span_of
 from roadsight.report.packing import pack
 from roadsight.report.wording import counted, number, percent
 
-_LISTED = 6
-"""Names in a cell of a table; of more, their number is told."""
+_LISTED = 6  # Names in a cell of a table; of more, their number is told
 
 
 def goal_proven(goal: dict[str, Any], status: str) -> bool:
@@ -188,11 +187,10 @@ def _uniqueness(found: dict[str, Any], sensors: int) -> str:
 
 # What the report says of a plan whose sensors do not stand exactly as planned.
 
+# Borders of the classes of the share of changes that lose a target, fewest last
 LOST = (1e-9, 0.05, 0.2, 0.5)
-"""Borders of the classes of the share of changes that lose a target, fewest last."""
-
+# Of the changes, those that lose a target, by class: the map's colours from none to all seen
 NAMES = ("more than half", "20 to 50 %", "5 to 20 %", "less than 5 %", "none")
-"""Of the changes, those that lose a target, by class: the map's colours from none to all seen."""
 
 
 def lost_classes(shares: NDArray) -> dict[str, Any]:

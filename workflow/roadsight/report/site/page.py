@@ -38,17 +38,11 @@ from roadsight.report.site.layers import (
 )
 from roadsight.report.site.options_view import goal_proven, lost_classes
 
-FORMAT = "roadsight.page/2"
-"""Of the page's content; the report refuses others."""
-
+FORMAT = "roadsight.page/2"  # Of the page's content; the report refuses others
+# Borders of the classes of the share of the time in sight, one fewer than the map has colours
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
-"""Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
-
-_MOST_OBSTACLES = 300
-"""Obstacles in the page: those that block most."""
-
+_MOST_OBSTACLES = 300  # Obstacles in the page: those that block most
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
-
 _POSE = ("position", "pitch_deg", "roll_deg")
 
 
@@ -297,15 +291,10 @@ def _cautions(
 # Targets that a plan leaves out, why, and what stands in the way (paper 1, Appendix B).
 
 OUT_OF_SIGHT = "no candidate sees it"
-
 NOT_CHOSEN = "candidates see it, the chosen sensors do not"
-
 TOO_FEW = "fewer sensors see it than asked for"
-
 _TEXTS = ("kind", "target", "candidate")
-
 _NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
-
 _DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
 
 

@@ -15,8 +15,7 @@ from roadsight.report.site.options_view import is_soft, options_view, tolerance_
 from roadsight.report.site.page import IN_SIGHT
 from roadsight.report.wording import counted, metres, number, percent
 
-_COLOURED = 4
-"""Targets that are seen so often, or more often, have one colour on the map."""
+_COLOURED = 4  # Targets that are seen so often, or more often, have one colour on the map
 
 
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:

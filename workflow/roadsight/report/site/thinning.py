@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
 
-_STEPS = 10
-"""Halvings of the search for the cell that leaves so many points."""
-_MOST = 250_000
-"""Most points that may be asked for; a page holds them all."""
+_STEPS = 10  # Halvings of the search for the cell that leaves so many points
+_MOST = 250_000  # Most points that may be asked for; a page holds them all
 
 
 def sample_mask(start: int, count: int, share: float) -> Bools:
