@@ -201,9 +201,12 @@ class Chart:
         for below, (beside, anchor) in product((-6, 14), sides):
             at, base = self.x(x) + beside, self.y(y) + below
             left = at if anchor == "start" else at - wide
-            box = (left, base - _LINE, left + wide, base)
-            if self._has_room(box):
-                self._labels.append(box)
+            right, top = left + wide, base - _LINE
+            inside = left >= _LEFT and right <= self.size[0] and top >= 0
+            if (inside and base <= self.size[1] - _BOTTOM) and not any(
+                left < b[2] and b[0] < right and top < b[3] and b[1] < base for b in self._labels
+            ):
+                self._labels.append((left, top, right, base))
                 place = f'x="{at:.1f}" y="{base:.1f}" text-anchor="{anchor}"'
                 self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
                 return
@@ -212,14 +215,6 @@ class Chart:
         """Text at a place, whatever lies there."""
         place = f'x="{self.x(x):.1f}" y="{self.y(y):.1f}" text-anchor="{anchor}"'
         self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
-
-    def _has_room(self, box: Box) -> bool:
-        """Whether a box lies inside the axes' area and off all labels."""
-        left, top, right, bottom = box
-        inside = left >= _LEFT and right <= self.size[0] and top >= 0
-        return (inside and bottom <= self.size[1] - _BOTTOM) and not any(
-            left < b[2] and b[0] < right and top < b[3] and b[1] < bottom for b in self._labels
-        )
 
     def svg(self) -> str:
         """The plot."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+MISSING = "\u2013"  # A dash where there is no value
 _NARROW = "\u202f"  # Narrow space that does not break, between a number and its unit
 _TIMES = "\u00d7"  # Multiplication sign
 _MINUS = "\u2212"  # Minus sign, as wide as a plus
+
 # Units as people write them, by the end of a value's name
 _UNITS = {
     "per_m2": "/m²",
@@ -64,15 +66,15 @@ _NAMES = {
     "relief_m": "Relief, 5th to 95th percentile",
     "spacing_m": "Point spacing",
 }
-MISSING = "\u2013"  # A dash where there is no value
 
 
 def label(key: str) -> str:
     """Name of a quantity from its key: ``pillar_width_m`` gives ``Pillar width``."""
     if key in _NAMES:
         return _NAMES[key]
-    words = [_SPELLING.get(word, word) for word in _without_unit(key).split("_")]
-    text = " ".join(words)
+    suffix = _suffix(key)
+    without_unit = key.removesuffix(f"_{suffix}") if suffix not in ("", "share") else key
+    text = " ".join(_SPELLING.get(word, word) for word in without_unit.split("_"))
     return text[:1].upper() + text[1:]
 
 
@@ -89,23 +91,16 @@ def quantity(key: str, value: Any, default_unit: str = "") -> str:
         return MISSING
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, dict | list | tuple):
-        return _several(key, value, default_unit) or MISSING
-    if not isinstance(value, int | float):
-        return str(value)
+    if isinstance(value, dict):  # one value after the other with their names
+        named = (f"{lower_first(label(k))} {quantity(k, v)}" for k, v in value.items())
+        return "; ".join(named) or MISSING
+    if isinstance(value, list | tuple):
+        between = f" {_TIMES} " if key.startswith("extent") else ", "
+        return between.join(quantity(key, part, default_unit) for part in value) or MISSING
     suffix = unit(key) or default_unit
-    if suffix == "%":
-        return percent(value)
+    if not isinstance(value, int | float) or suffix == "%":
+        return percent(value) if isinstance(value, int | float) else str(value)
     return number(value) + ("" if not suffix else suffix if suffix == "°" else f"{_NARROW}{suffix}")
-
-
-def _several(key: str, values: dict[str, Any] | list[Any] | tuple[Any, ...], unit_of: str) -> str:
-    """Values one after the other, those of a mapping with their names."""
-    if isinstance(values, dict):
-        named = (f"{lower_first(label(k))} {quantity(k, v)}" for k, v in values.items())
-        return "; ".join(named)
-    between = f" {_TIMES} " if key.startswith("extent") else ", "
-    return between.join(quantity(key, part, unit_of) for part in values)
 
 
 def pose(pitch_deg: float, roll_deg: float) -> str:
@@ -131,6 +126,11 @@ def number(value: float, decimals: int | None = None) -> str:
         text = f"{value:,.{max(0, 3 - size)}f}"
         return _signed(text.rstrip("0").rstrip(".") if "." in text else text)
     return _signed(f"{value:,.{decimals}f}")
+
+
+def short(value: float) -> str:
+    """Number of three significant digits."""
+    return number(float(f"{value:.3g}"))
 
 
 def percent(share: float | None) -> str:
@@ -183,11 +183,6 @@ def _suffix(key: str) -> str:
     """Longest ending of a key that is a unit and not the whole key."""
     endings = [ending for ending in _UNITS if key.endswith(f"_{ending}")]
     return max(endings, key=len, default="")
-
-
-def _without_unit(key: str) -> str:
-    suffix = _suffix(key)
-    return key.removesuffix(f"_{suffix}") if suffix not in ("", "share") else key
 
 
 def lower_first(text: str) -> str:

@@ -162,6 +162,13 @@ def sensor_table(sensors: Sequence[dict[str, Any]], frame: Frame) -> pd.DataFram
     )
 
 
+def field_text(value: Any) -> str:
+    """Value of a feature's field as text, empty where there is none."""
+    if not isinstance(value, str) and pd.isna(value):
+        return ""
+    return f"{value:.10g}" if isinstance(value, float | np.floating) else str(value)
+
+
 def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     """A table with x, y, z in local metres as points."""
     geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
