@@ -22,15 +22,12 @@ from roadsight.io.records.tables import read_table
 from roadsight.studio.project import CLOUD, DEM, FRAME, GROUND, SiteFolder
 from roadsight.studio.site_files import OutdatedError
 
+# Percentile of intensity that is drawn white; a few points above it, such as those of signs, would
+# leave the road dark
 _BRIGHT_PERCENT = 98.0
-"""Percentile of intensity that is drawn white; a few points above it, such as those of signs, would
-leave the road dark."""
-
-_SAMPLED_TILES = 9
-"""Tiles, spread over the cloud, that this percentile is taken from."""
-
+_SAMPLED_TILES = 9  # Tiles, spread over the cloud, that this percentile is taken from
+# Read tiles that are kept, so that finer levels of a tile need not read it again
 _KEPT_BYTES = 256 << 20
-"""Read tiles that are kept, so that finer levels of a tile need not read it again."""
 
 
 class SiteCloud:
@@ -188,11 +185,11 @@ def _state(path: Path) -> int:
 
 # Levels of detail of a cloud's tiles: each adds points between those of the coarser ones.
 
+# Edges of the cells of each level; the last level has all other points
 CELLS_M = (1.6, 0.8, 0.4, 0.2, 0.1)
-"""Edges of the cells of each level; the last level has all other points."""
-
 LEVELS = len(CELLS_M) + 1
 
+# A point as the browser gets it: position by its tile's box, height above ground
 RECORD = np.dtype(
     [
         ("xyz", "<u2", 3),
@@ -203,13 +200,9 @@ RECORD = np.dtype(
         ("free", "u1"),
     ]
 )
-"""A point as the browser gets it: position by its tile's box, height above ground."""
 
-_STEPS = 65535
-"""Steps of a coordinate within a tile's box: what 16 bits hold."""
-
-_HIGHEST_CM = 32767
-"""Heights above ground are centimetres in 16 bits with a sign."""
+_STEPS = 65535  # Steps of a coordinate within a tile's box: what 16 bits hold
+_HIGHEST_CM = 32767  # Heights above ground are centimetres in 16 bits with a sign
 
 
 def level_of_points(xyz_m: Floats32) -> Bytes:
@@ -277,32 +270,17 @@ def scaled_intensity(intensity: NDArray[np.uint16], brightest: float) -> Bytes:
 
 # Where the cloud shows an edge near a click: a step in height, or a change of brightness.
 
-REACH_M = 1.0
-"""Edges further from the click are not looked for."""
-
+REACH_M = 1.0  # Edges further from the click are not looked for
+# Points are taken from so far beyond the reach, so that slopes at its rim are right
 _MARGIN_M = 0.6
-"""Points are taken from so far beyond the reach, so that slopes at its rim are right."""
-
-_CELL_M = 0.1
-"""Cells that height and brightness are averaged over."""
-
-_BLUR_CELLS = 1.0
-"""Standard deviation of the blur, which bridges cells without points."""
-
-_STEP_M_PER_M = 0.12
-"""Steepness that counts as much as `_BRIGHT_PER_M`: 12 mm of height in a cell."""
-
+_CELL_M = 0.1  # Cells that height and brightness are averaged over
+_BLUR_CELLS = 1.0  # Standard deviation of the blur, which bridges cells without points
+_STEP_M_PER_M = 0.12  # Steepness that counts as much as `_BRIGHT_PER_M`: 12 mm of height in a cell
+# Change of brightness a metre, as a share of its spread: a sixth of it in a cell
 _BRIGHT_PER_M = 1.6
-"""Change of brightness a metre, as a share of its spread: a sixth of it in a cell."""
-
-_GROUND_M = 0.6
-"""Points higher above the lowest tenth are left out: cars, plants, poles."""
-
-_FEWEST = 60
-"""With fewer points around the click there is no edge to tell."""
-
-_LEAST_SCORE = 1.0
-"""Edges no steeper than the two steepnesses above do not stand out."""
+_GROUND_M = 0.6  # Points higher above the lowest tenth are left out: cars, plants, poles
+_FEWEST = 60  # With fewer points around the click there is no edge to tell
+_LEAST_SCORE = 1.0  # Edges no steeper than the two steepnesses above do not stand out
 
 
 def snap_to_cloud(

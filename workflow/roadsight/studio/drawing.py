@@ -31,13 +31,9 @@ from roadsight.studio.requests import field_of
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
 _SECTION = "placement"
-
 LAYERS = ("edges", "zones", "mounts", "tma")
-
 _PAVEMENT = "scene/pavement.gpkg"
-
-_KNOT_M = 0.15
-"""A traced outline is drawn with as few knots as keep it within this distance."""
+_KNOT_M = 0.15  # A traced outline is drawn with as few knots as keep it within this distance
 
 
 def load_drawing(site: SiteFolder) -> dict[str, Any]:
@@ -341,18 +337,11 @@ def _flat(table: Floats) -> list[float]:
 
 # What people draw, as the page sends it: checked, and turned into shapes in local metres.
 
-_FURTHEST_M = 1e6
-"""Largest coordinate, local metres, that is taken from a page."""
-
-_MOST = 5000
-"""Points of a shape, and poles, that are taken from a page."""
-
+_FURTHEST_M = 1e6  # Largest coordinate, local metres, that is taken from a page
+_MOST = 5000  # Points of a shape, and poles, that are taken from a page
 Metre = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M, allow_inf_nan=False)]
-
 Point = tuple[Metre, Metre]
-
 Points = Annotated[list[Point], Field(max_length=_MOST)]
-
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 

@@ -25,16 +25,11 @@ from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, Scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
 POSE = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px")
-
+# Field of view that an image starts from where nothing is known of its camera
 _USUAL_HFOV_DEG = 60.0
-"""Field of view that an image starts from where nothing is known of its camera."""
-
 _FRAMES = "poles/frames.parquet"
-
 _ROAD = "poles/road_edges.parquet"
-
 _CALIBRATION = "poles/calibration.json"
-
 _TERRAIN = "poles/terrain.npz"
 
 

@@ -12,6 +12,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.report.evidence.tradeoffs_page import measure_views
 from roadsight.studio.project import SiteFolder
 
+# Pages of the workflow by their path under results
 PAGES = {
     "report.html": "Report",
     "tradeoffs/index.html": "Accuracy and time",
@@ -19,14 +20,10 @@ PAGES = {
     "audit/index.html": "Effects audited",
     "bench/index.html": "Benchmarks",
 }
-"""Pages of the workflow by their path under results."""
 
 _EFFECTS = "effects.json"
-
 _TRADEOFFS = Path("tradeoffs/tradeoffs.csv")
-
 _KEYS = ["job", "knob"]
-
 _EFFECT_FIELDS = {"effect", "job", "decision", "quantity", "value", "unit", "threshold", "reason"}
 
 

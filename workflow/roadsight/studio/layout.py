@@ -30,8 +30,7 @@ from roadsight.stages.placement.shared.cover_inputs import PlanFiles, read_asked
 from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 from roadsight.studio.project import FRAME, Project, SiteFolder
 
-_MOST_SENSORS = 5000
-"""Sensors of a layout that are taken from a page."""
+_MOST_SENSORS = 5000  # Sensors of a layout that are taken from a page
 
 _SUMMARY = (
     "status",
@@ -290,10 +289,9 @@ def _flat(table: Floats) -> list[float]:
 # What a plan may choose, as the solver reads it: places, costs, and what excludes what.
 
 _TARGETS = "placement/targets.parquet"
-
+# Options of a plan that say where a sensor may stand and what it costs there; the others say what
+# is to be seen, and a what-if is free of those
 _WHERE_AND_COST = ("forbidden", "poles", "spacing_m")
-"""Options of a plan that say where a sensor may stand and what it costs there; the others say what
-is to be seen, and a what-if is free of those."""
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,7 @@ from roadsight.poles.images.views import source_places, straightened
 from roadsight.studio.project import SiteFolder
 
 _DRIVE = "poles/drive.json"
-
 _EFFECTS = "effects.json"
-
 _DISTORTION = "lens_distortion"
 
 

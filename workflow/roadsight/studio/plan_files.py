@@ -28,12 +28,10 @@ from roadsight.studio.requests import field_of
 from roadsight.studio.site_files import Writer, saving, site_version, with_value, write_site
 
 _SECTION, _KEY = "placement", "own_plans"
-
+# Files of places that the studio writes, named after their plan
 _PLACES = {"mandatory": "mandatory.csv", "forbidden": "forbidden.geojson"}
-"""Files of places that the studio writes, named after their plan."""
-
+# What a plan may have beside options
 _ANY_PLAN = set(Plan.model_fields) - set(PlanOptions.model_fields)
-"""What a plan may have beside options."""
 
 
 def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
@@ -307,11 +305,8 @@ def remove_plan(project: Project, stem: str, name: str, version: str | None = No
 
 # A plan as the page sends it.
 
-_MOST = 5000
-"""Places of a plan that are taken from a page."""
-
+_MOST = 5000  # Places of a plan that are taken from a page
 _Native = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
-
 _Text = Annotated[str, Field(max_length=200)]
 
 

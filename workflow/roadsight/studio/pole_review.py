@@ -24,11 +24,8 @@ from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
 _POLES = "poles/poles.parquet"
-
 _FRAMES = "poles/frames.parquet"
-
 _HAZARD = "poles/hazard.parquet"
-
 _FILE = "pole_decisions.csv"
 
 _SHOWN = (
@@ -46,15 +43,10 @@ _SHOWN = (
 )
 
 _SEEN = ("image", "view", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "x", "y")
-
 _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")
-
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
-
 _TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
-
-_SAME_M = 0.01
-"""A decision and a pole so close belong together; files round places more finely."""
+_SAME_M = 0.01  # A decision and a pole so close belong together; files round places more finely
 
 
 class Decision(Shape):

@@ -35,23 +35,15 @@ from roadsight.studio.drive_views import POSE, SiteDrive, read_corrections
 from roadsight.studio.project import CLOUD, DEM, Project, SiteFolder
 from roadsight.studio.site_files import Writer, save_beside, saving
 
+# Points nearer than this are sent in all directions, because a camera that is moved may come to see
+# them
 _BESIDE_M = 5.0
-"""Points nearer than this are sent in all directions, because a camera that is moved may come to
-see them."""
-
-_AHEAD_M = 150.0
-"""Points further away are not sent."""
-
+_AHEAD_M = 150.0  # Points further away are not sent
+# Points so far beyond the image's sides are sent, so that the camera can be turned
 _ROOM_DEG = 12.0
-"""Points so far beyond the image's sides are sent, so that the camera can be turned."""
-
-_MOST_POINTS = 60_000
-"""Points that are sent of an image, coarse ones first."""
-
+_MOST_POINTS = 60_000  # Points that are sent of an image, coarse ones first
 POINT = np.dtype([("xyz", "<f4", 3), ("height_m", "<f4")])
-
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
 
@@ -241,17 +233,12 @@ def registered_pose(found: Registration) -> dict[str, float]:
 
 # What registration by hand leaves: baselines with their pairs, corrections of single images.
 
+# Standard deviations of a pose set by eye: metres, radians, log focal length
 _HAND = np.array([0.3, 0.3, 0.1, 0.005, 0.005, 0.005, 0.01])
-"""Standard deviations of a pose set by eye: metres, radians, log focal length."""
-
 _BASELINE = "baseline.json"
-
 _PAIRS = "pairs.csv"
-
 _CORRECTIONS = "corrections.csv"
-
 _HEADER = ["image", "pixel_x", "pixel_y", "x", "y", "z"]
-
 _LENS = ("cx_px", "cy_px")
 
 

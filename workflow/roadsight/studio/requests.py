@@ -10,7 +10,6 @@ from pydantic import BaseModel, ValidationError
 from roadsight.base.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
-
 _JSON = "application/json"
 
 

@@ -21,12 +21,9 @@ import roadsight
 from roadsight.base.errors import InputError
 from roadsight.studio.project import Project
 
+# Before this much of a run has passed, its speed says nothing, and full use of the cores is assumed
 _SOON_S = 10.0
-"""Before this much of a run has passed, its speed says nothing, and full use of the cores is
-assumed."""
-
-_MOST_TEXT = 2000
-"""Characters of an error message that are kept."""
+_MOST_TEXT = 2000  # Characters of an error message that are kept
 
 
 @dataclass
@@ -165,12 +162,11 @@ def _work(
 
 # What Snakemake says of a run through the project's logger plugin, and what follows from it.
 
+# What may be asked for: the rules of the Snakefile that only name files
 TARGETS = ("all", "placement", "poles", "scene", "report", "tradeoffs", "audit", "hardcases")
-"""What may be asked for: the rules of the Snakefile that only name files."""
+CHECKPOINT = "profile_scene"  # The rule after which Snakemake may find further steps
 
-CHECKPOINT = "profile_scene"
-"""The rule after which Snakemake may find further steps."""
-
+# How Snakemake begins each reason for a job; files may follow
 _HEADS = (
     "Missing output files",
     "Incomplete output files",
@@ -182,20 +178,13 @@ _HEADS = (
     "Software environment definition has changed",
     "Forced execution",
 )
-"""How Snakemake begins each reason for a job; files may follow."""
 
+# The reason that is another job's, not a cause of its own
 _FOLLOWS = "Input files updated by another job"
-"""The reason that is another job's, not a cause of its own."""
-
+# Reasons are parted by semicolons, and names of files may hold some
 _SPLIT = re.compile(rf"; (?={'|'.join(map(re.escape, _HEADS))})")
-"""Reasons are parted by semicolons, and names of files may hold some."""
-
-_LONGEST = 300
-"""Characters of a reason; longer ones are cut."""
-
-_MOST_FILES = 4
-"""Files that a reason names; of more, their number is told."""
-
+_LONGEST = 300  # Characters of a reason; longer ones are cut
+_MOST_FILES = 4  # Files that a reason names; of more, their number is told
 Event = Mapping[str, Any]
 
 
@@ -281,14 +270,9 @@ def _shortened(cause: str) -> str:
 # Calls of Snakemake: only with targets and sites of fixed lists, and never through a shell.
 
 _PACKAGES = Path(roadsight.__file__).resolve().parents[1]
-
 _OURS = "roadsight: "
-
-_DRY_RUN_S = 300.0
-"""Limit of a dry run, which takes longer with the steps of all sites."""
-
-_UNLOCK_S = 120.0
-"""Limit of removing a lock."""
+_DRY_RUN_S = 300.0  # Limit of a dry run, which takes longer with the steps of all sites
+_UNLOCK_S = 120.0  # Limit of removing a lock
 
 
 class Order(BaseModel):

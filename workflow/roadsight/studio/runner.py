@@ -22,28 +22,16 @@ from roadsight.io.records.atomic import write_json
 
 # Files of a run in its folder.
 LOCK = "lock"
-
 ORDER = "order.json"
-
 BEGUN = "begun.json"
-
 ENDED = "ended.json"
-
 EVENTS = "events.jsonl"
-
 OUTPUT = "output.log"
-
-GRACE_S = 20.0
-"""How long a run may take to stop before it is told more firmly."""
-
-BUSY = 3
-"""Exit code: another run holds the lock."""
-
+GRACE_S = 20.0  # How long a run may take to stop before it is told more firmly
+BUSY = 3  # Exit code: another run holds the lock
+# How often the lock is tried: the studio holds it for moments, to see whether a run is alive
 _TRIES = 20
-"""How often the lock is tried: the studio holds it for moments, to see whether a run is alive."""
-
-_PAUSE_S = 0.1
-"""Between two tries."""
+_PAUSE_S = 0.1  # Between two tries
 
 
 def hold(folder: Path, tries: int = 1) -> BinaryIO | None:

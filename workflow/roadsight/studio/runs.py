@@ -40,16 +40,9 @@ from roadsight.studio.run_progress import (
 from roadsight.studio.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, is_held
 
 FOLDER = ".snakemake/roadsight/run"
-
-_START_S = 20.0
-"""How long the process of a run may take to lead it, before the studio answers."""
-
-_LAST_STEPS = 8
-"""Finished steps that are shown."""
-
-_LOG_BYTES = 64 << 10
-"""End of a log that is shown."""
-
+_START_S = 20.0  # How long the process of a run may take to lead it, before the studio answers
+_LAST_STEPS = 8  # Finished steps that are shown
+_LOG_BYTES = 64 << 10  # End of a log that is shown
 _NO_RUN: dict[str, Any] = {"order": None}
 
 
@@ -326,17 +319,11 @@ def _work_s(named: dict[str, str]) -> float:
 
 # Whether Snakemake works in the project's folder without the studio, or left its lock there.
 
-_PROCESSES = Path("/proc")
-"""Where Linux lists processes."""
-
-_LOCKS = ".snakemake/locks"
-"""Where Snakemake keeps its lock on a folder."""
-
-_RUNNER = b"roadsight.studio.runner"
-"""By it the processes of the studio's own runs are known."""
-
+_PROCESSES = Path("/proc")  # Where Linux lists processes
+_LOCKS = ".snakemake/locks"  # Where Snakemake keeps its lock on a folder
+_RUNNER = b"roadsight.studio.runner"  # By it the processes of the studio's own runs are known
+# Calls of Snakemake with one of these do not hold its lock
 _NO_LOCK = (b"--dry-run", b"--dryrun", b"-n", b"--unlock")
-"""Calls of Snakemake with one of these do not hold its lock."""
 
 
 def lock_is_there(root: Path) -> bool:

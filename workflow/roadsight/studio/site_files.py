@@ -20,11 +20,11 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.studio.project import FRAME, Project, SiteFolder
 
 Writer = Callable[[Path], Any]
-
 Part = Literal["drawing", "decisions", "registration", "plans"]
-
 _SAMPLE_EDGES = "sample/edges.geojson"
 
+# Of each part that people save: section, its keys with the files that the studio writes for them,
+# and the results that it rests on
 _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
     "drawing": (
         "placement",
@@ -39,11 +39,8 @@ _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
     ),
     "plans": ("placement", {}, ()),
 }
-"""Of each part that people save: section, its keys with the files that the studio writes for them,
-and the results that it rests on."""
 
 _NAMES = {key: name for _, names, _ in _FILES.values() for key, name in names.items()}
-
 _saving = threading.RLock()
 
 
@@ -228,9 +225,7 @@ def _write(path: Path, content: bytes) -> None:
 # One value of a site file set or removed, everything else, comments too, left as it is.
 
 Value = str | dict[str, Any] | None
-
-_BREAKS = "\x85\u2028\u2029"
-"""Ends of lines for YAML, besides those that it escapes by itself."""
+_BREAKS = "\x85\u2028\u2029"  # Ends of lines for YAML, besides those that it escapes by itself
 
 
 def with_value(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
