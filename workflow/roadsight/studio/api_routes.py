@@ -6,7 +6,6 @@ from pathlib import PurePath
 from typing import Any
 
 from flask import Blueprint, Response, request
-from pydantic import BaseModel, ConfigDict
 
 from roadsight import __version__
 from roadsight.io.cloud.tiles import stack_xyz
@@ -14,18 +13,15 @@ from roadsight.studio.cloud_tiles import REACH_M, Clouds, snap_to_cloud
 from roadsight.studio.drawing import (
     Drawing,
     Metre,
-    Shape,
     current_area,
     load_drawing,
     preview,
     save_drawing,
     terrain_of,
 )
-from roadsight.studio.drive_views import Drives, SiteDrive
+from roadsight.studio.drive_views import Drives, SiteDrive, lens_for, without_distortion
 from roadsight.studio.evidence_pages import effects_of, frontiers
 from roadsight.studio.layout import Layouts, WhatIf
-from roadsight.studio.new_site import CloudBody, new_site
-from roadsight.studio.pictures import lens_for, without_distortion
 from roadsight.studio.plan_files import (
     TYPES,
     Export,
@@ -48,10 +44,10 @@ from roadsight.studio.registering import (
     save_correction,
     solve_pairs,
 )
-from roadsight.studio.requests import body, version
+from roadsight.studio.requests import Body, body, version
 from roadsight.studio.run_progress import Order
 from roadsight.studio.runs import Runs
-from roadsight.studio.site_files import saving, site_version
+from roadsight.studio.site_files import CloudBody, new_site, saving, site_version
 
 
 def site_routes(project: Project) -> Blueprint:
@@ -82,7 +78,7 @@ def clouds_routes(project: Project) -> Blueprint:
 # The cloud, tile by tile.
 
 
-class Place(Shape):
+class Place(Body):
     """A place in plan, local metres."""
 
     x: Metre
@@ -291,10 +287,9 @@ def results_routes(project: Project) -> Blueprint:
 # The workflow: what is stale, a run, and what it has told.
 
 
-class Stop(BaseModel):
+class Stop(Body):
     """How to stop."""
 
-    model_config = ConfigDict(extra="forbid")
     firmly: bool = False
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -29,6 +29,7 @@ from roadsight.placement.sight.detection import times_seen
 from roadsight.stages.placement.shared.cover_inputs import PlanFiles, read_asked
 from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 from roadsight.studio.project import FRAME, Project, SiteFolder
+from roadsight.studio.requests import Body
 
 _MOST_SENSORS = 5000  # Sensors of a layout that are taken from a page
 
@@ -44,10 +45,9 @@ _SUMMARY = (
 )
 
 
-class WhatIf(BaseModel):
+class WhatIf(Body):
     """Sensors that stand: rows of the choices of a plan, as it was when the page read it."""
 
-    model_config = ConfigDict(extra="forbid")
     version: Annotated[str, Field(max_length=80)]
     rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=_MOST_SENSORS)]
 
@@ -80,18 +80,15 @@ class Layout:
         found = choices_to_try(site, plan, self.files, self.costs, self.solution, self.targets)
         self.choices, self.matrix, self.chosen = found.choices, found.matrix, found.chosen
         self.places = posed_candidates(self.choices, found.candidates)
-        self.needed = self._needed()
-        self.notes = _not_counted(asked)
-        self._found = found
-
-    def _needed(self) -> Ints:
-        """How many sensors each target needs (n,): the plan's, or its areas' own number."""
+        # Sensors that each target needs: the plan's number, or its areas' own.
         needed = pd.Series(int(self.solution["at_least"]), index=self.targets["target"])
         if self.solution.get("options") and self.files["layers"].exists():
             layer = read_layer(self.files["layers"], "targets", self.frame)
             own = layer.set_index("target")["needed"]
             needed.update(own[own > 0])
-        return np.asarray(needed, np.int64)
+        self.needed = np.asarray(needed, np.int64)
+        self.notes = _not_counted(asked)
+        self._found = found
 
     def about(self) -> dict[str, Any]:
         """Everything that the page draws."""
@@ -139,29 +136,6 @@ class Layout:
         ------
         InputError : no such choices, or two that exclude each other.
         """
-        self._check(rows)
-        return self._counted(rows)
-
-    def _counted(self, rows: Ints) -> dict[str, Any]:
-        times = times_seen(self.matrix, rows)
-        covered = times >= self.needed
-        before = times_seen(self.matrix, self.chosen) >= self.needed
-        critical = covered & (times == self.needed)
-        only = np.asarray(self.matrix[rows][:, critical].sum(axis=1)).ravel()
-        best, gain = self._next(rows, covered)
-        return {
-            "times": times.tolist(),
-            "needs": np.maximum(self.needed - times, 0).tolist(),
-            "covered": int(covered.sum()),
-            "lost": int((before & ~covered).sum()),
-            "gained": int((covered & ~before).sum()),
-            "only": only.tolist(),
-            "cost": float(self.choices["cost"].to_numpy()[rows].sum()),
-            "next": best,
-            "next_covers": gain,
-        }
-
-    def _check(self, rows: Ints) -> None:
         if len(rows) and rows.max() >= len(self.choices):
             raise InputError("no such candidate", where="studio", found=int(rows.max()))
         position = self.choices["position"].to_numpy()[rows]
@@ -173,14 +147,31 @@ class Layout:
                 where="studio",
                 hint="move one of them",
             )
+        return self._counted(rows)
 
-    def _next(self, rows: Ints, covered: Bools) -> tuple[int | None, int]:
-        """Free choice that sees most uncovered targets; the cheaper, then the first, of equals."""
+    def _counted(self, rows: Ints) -> dict[str, Any]:
+        times = times_seen(self.matrix, rows)
+        covered = times >= self.needed
+        before = times_seen(self.matrix, self.chosen) >= self.needed
+        critical = covered & (times == self.needed)
+        only = np.asarray(self.matrix[rows][:, critical].sum(axis=1)).ravel()
+        # Free choice that sees most uncovered targets; the cheaper, then the first, of equals.
         gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
         gain[self._found.excluded(rows)] = 0
         cost = self.choices["cost"].to_numpy(np.float64)
         best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
-        return (best, int(gain[best])) if len(gain) and gain[best] > 0 else (None, 0)
+        helps = len(gain) > 0 and gain[best] > 0
+        return {
+            "times": times.tolist(),
+            "needs": np.maximum(self.needed - times, 0).tolist(),
+            "covered": int(covered.sum()),
+            "lost": int((before & ~covered).sum()),
+            "gained": int((covered & ~before).sum()),
+            "only": only.tolist(),
+            "cost": float(self.choices["cost"].to_numpy()[rows].sum()),
+            "next": best if helps else None,
+            "next_covers": int(gain[best]) if helps else 0,
+        }
 
     def _obstacles(self) -> dict[str, Any]:
         """What stands in the way of the plan's sensors, and why targets are not covered."""
@@ -345,19 +336,17 @@ def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path
     found = {short: site.file(name) for short, name in names.items()}
     own = {"obstacles": "obstacles.gpkg", "layers": "solution.gpkg"}
     found |= {short: site.results / folder / name for short, name in own.items()}
-    return found | {"sensors": Path(sensors_file)} | _maps(site, plan)
-
-
-def _maps(site: SiteFolder, plan: str) -> dict[str, Path]:
-    """Files of the user that decide where sensors of the plan may stand."""
-    placement, options = site.resolved.site.placement, site.resolved.plans[plan]
-    found = {name: site.resolved.beside(getattr(placement, name)) for name in ("zones", "cabinets")}
-    found |= {name: _without_layer(options.file_of(name)) for name in FILES}
-    return {name: Path(path) for name, path in found.items() if path is not None}
-
-
-def _without_layer(path: str | None) -> str | None:
-    return None if path is None else split_layer(path)[0]
+    found["sensors"] = Path(sensors_file)
+    # Files of the user that decide where sensors of the plan may stand.
+    for name in ("zones", "cabinets"):
+        path = site.resolved.beside(getattr(site.resolved.site.placement, name))
+        if path is not None:
+            found[name] = Path(path)
+    for name in FILES:
+        path = site.resolved.plans[plan].file_of(name)
+        if path is not None:
+            found[name] = Path(split_layer(path)[0])
+    return found
 
 
 def state_of(site: SiteFolder, plan: str, files: dict[str, Path]) -> str:

@@ -95,23 +95,18 @@ class Watch:
                     os.killpg(os.getpgid(0), signal.SIGTERM)
 
 
-def _begin(folder: Path, order: str) -> None:
-    """Forget the run before, and say from now on in its place what this one does."""
-    for name in (BEGUN, ENDED, EVENTS, OUTPUT):
-        (folder / name).unlink(missing_ok=True)
-    write_json(folder / ORDER, json.loads(order))
-    with (folder / OUTPUT).open("wb") as output:
-        for stream in (sys.stdout, sys.stderr):
-            os.dup2(output.fileno(), stream.fileno())
-
-
 def main(arguments: list[str]) -> int:
     """Run the command and write what becomes of it."""
     folder, order, command = Path(arguments[0]), arguments[1], arguments[2:]
     lock = hold(folder, _TRIES)
     if lock is None:
         return BUSY
-    _begin(folder, order)
+    for name in (BEGUN, ENDED, EVENTS, OUTPUT):
+        (folder / name).unlink(missing_ok=True)
+    write_json(folder / ORDER, json.loads(order))
+    with (folder / OUTPUT).open("wb") as output:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(output.fileno(), stream.fileno())
     watch = Watch()
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     write_json(folder / BEGUN, {"pid": os.getpid(), "time": time.time()})
