@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from roadsight.io.raster.top_rasters import TopRaster
 from roadsight.report.poles.poles_layers import (
     ACCEPTED,
-    KINDS,
     LEVELS,
     REJECTED,
     UNUSED,
@@ -26,6 +25,8 @@ from roadsight.report.poles.poles_layers import (
 )
 from roadsight.report.poles.poles_page import choose_images, overlay, picture, plain, pole_cautions
 from roadsight.report.poles.poles_view import _hazard as hazard_view
+
+KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
 
 
 def unpacked(packed):

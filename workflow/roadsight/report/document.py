@@ -156,7 +156,6 @@ def _site(
 
 
 def _scene(page: _Page) -> dict[str, Any]:
-    """Scene and placement."""
     costs = [sensor["cost"] for sensor in page["sensors"].values()]
     candidates = page["layers"].get("candidates")
     there = {"relief", "plain", *page["layers"]["below"]}
@@ -199,12 +198,10 @@ def is_priced(page: _Page) -> bool:
 
 
 def _has(page: _Page, key: str) -> bool:
-    """Whether any plan has such a part."""
     return any(key in plan for plan in page["plans"])
 
 
 def _evidence(page: dict[str, Any]) -> dict[str, Any]:
-    """Scene, and the sensors' parameters."""
     summary, sensors = page["summary"], page["sensors"]
     figures = dict(summary["scene"])
     scores, _ = figures.pop("pavement_scores", None), figures.pop("traffic", None)

@@ -145,7 +145,6 @@ def _verdict(view: dict[str, Any]) -> str:
 def _plan(
     view: dict[str, Any], page: dict[str, Any], seen: NDArray, pictures: dict[str, bytes]
 ) -> dict[str, Any]:
-    """Map and tables of one plan."""
     name = f"map-{view['name']}.svg"
     pictures[name] = plan_map(page, view, _WIDTH_MM, _MAP_MM).encode()
     cost = f", cost {wording.number(view['objective'])}" if is_priced(page) else ""
@@ -193,7 +192,6 @@ def _sensor(sensor: Mapping[str, Any]) -> list[str]:
 def _add_poles(
     content: dict[str, Any], pictures: dict[str, bytes], poles_page: dict[str, Any]
 ) -> None:
-    """Map and tables of the poles."""
     view = poles_view(poles_page)
     frame = Frame.from_dict(poles_page["frame"])
     drawn = pole_map(poles_page, _WIDTH_MM, _MAP_MM)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import cv2
@@ -235,6 +235,14 @@ class Drives:
 
 
 # Images as the workflow looks at them: without the distortion of their lens, where it has any.
+
+
+_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
+
+
+def picture_type(path: str) -> str:
+    """Media type of an image by the name of its file."""
+    return _TYPES.get(PurePath(path).suffix.lower(), "application/octet-stream")
 
 
 def lens_for(site: SiteFolder, key: Key) -> RadialLens | None:

@@ -13,9 +13,8 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 from pydantic import Field
-from scipy import sparse
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Cover
 from roadsight.config.plans import FILES, Plan
@@ -61,7 +60,9 @@ class Layout:
 
     Attributes
     ----------
-    choices, places, matrix, chosen : as `PlanChoices`, and where the choices stand and look.
+    choices : (n,) as `choices_of`, with their whole cost. places : where they stand and look.
+    matrix : which of them sees which target (n, targets). chosen : (k,) those of the solution.
+    exclusive : (sets, n), at most one of each set stands.
     needed : (targets,) sensors that each needs. notes : what is not counted, in sentences.
 
     Raises
@@ -77,9 +78,7 @@ class Layout:
         self.targets = read_table(self.files["targets"])
         kinds, asked = load_sensors(sensors_file), site.resolved.plans[plan]
         self.costs = {name: kinds[name].cost for name in asked.sensors}
-        found = choices_to_try(site, plan, self.files, self.costs, self.solution, self.targets)
-        self.choices, self.matrix, self.chosen = found.choices, found.matrix, found.chosen
-        self.places = posed_candidates(self.choices, found.candidates)
+        self._read_choices(site, plan)
         # Sensors that each target needs: the plan's number, or its areas' own.
         needed = pd.Series(int(self.solution["at_least"]), index=self.targets["target"])
         if self.solution.get("options") and self.files["layers"].exists():
@@ -88,7 +87,29 @@ class Layout:
             needed.update(own[own > 0])
         self.needed = np.asarray(needed, np.int64)
         self.notes = _not_counted(asked)
-        self._found = found
+
+    def _read_choices(self, site: SiteFolder, plan: str) -> None:
+        """What could stand instead of the plan's sensors, by the solver's own functions.
+
+        Forbidden are the places of zones, of the rules of mounting and of the plan; of the last,
+        the ones where its sensors stand stay.
+        """
+        given = _given(site, plan, site.resolved.plans[plan], self.files)
+        costs = [f"{name}={cost!r}" for name, cost in self.costs.items()]
+        found = read_choices(given, costs, self.frame)
+        matrix = found.matrix(self.targets["target"])
+        where = f"site {site.stem}, plan {plan}"
+        asked = read_asked(given, self.frame) or Asked({}, 1, where, exclude=True)
+        posed = pose(asked, matrix, found.choices, found.candidates, self.targets).deployment
+        chosen = _chosen(found.choices, self.solution, str(self.files["solution"]))
+        free = ~posed.problem.forbidden
+        free[chosen] = True
+        kept = np.flatnonzero(free)
+        self.choices = found.choices.assign(cost=posed.problem.costs).iloc[kept]
+        self.choices = self.choices.reset_index(drop=True)
+        self.places = posed_candidates(self.choices, found.candidates)
+        self.matrix, self.exclusive = matrix[kept], posed.exclusive[:, kept]
+        self.chosen: Ints = np.searchsorted(kept, chosen)
 
     def about(self) -> dict[str, Any]:
         """Everything that the page draws."""
@@ -141,7 +162,8 @@ class Layout:
         position = self.choices["position"].to_numpy()[rows]
         if len(np.unique(position)) < len(position):
             raise InputError("two sensors at one position", where="studio")
-        if self._found.are_crowded(rows):
+        inside = np.bincount(rows, minlength=len(self.choices))
+        if (self.exclusive @ inside > 1).any():
             raise InputError(
                 "two sensors stand nearer to each other than the plan's spacing_m",
                 where="studio",
@@ -157,7 +179,10 @@ class Layout:
         only = np.asarray(self.matrix[rows][:, critical].sum(axis=1)).ravel()
         # Free choice that sees most uncovered targets; the cheaper, then the first, of equals.
         gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
-        gain[self._found.excluded(rows)] = 0
+        inside = np.zeros(len(self.choices), np.int32)
+        inside[rows] = 1
+        beside = np.asarray(self.exclusive.T @ (self.exclusive @ inside)).ravel()
+        gain[(inside > 0) | (beside > 0)] = 0
         cost = self.choices["cost"].to_numpy(np.float64)
         best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
         helps = len(gain) > 0 and gain[best] > 0
@@ -277,42 +302,11 @@ def _flat(table: Floats) -> list[float]:
     return np.round(table, 3).ravel().tolist()
 
 
-# What a plan may choose, as the solver reads it: places, costs, and what excludes what.
+# Files of a plan, and what of them the solver reads.
 
-_TARGETS = "placement/targets.parquet"
 # Options of a plan that say where a sensor may stand and what it costs there; the others say what
 # is to be seen, and a what-if is free of those
 _WHERE_AND_COST = ("forbidden", "poles", "spacing_m")
-
-
-@dataclass(frozen=True)
-class PlanChoices:
-    """Choices of a plan.
-
-    Parameters
-    ----------
-    candidates : those that may carry a sensor. choices : (n,) as `choices_of`, with their whole
-        cost. matrix : which of them sees which target (n, targets).
-    chosen : (k,) those of the solution. exclusive : (sets, n), at most one of each set stands.
-    """
-
-    candidates: pd.DataFrame
-    choices: pd.DataFrame
-    matrix: sparse.csr_matrix
-    chosen: Ints
-    exclusive: sparse.csr_matrix
-
-    def excluded(self, rows: Ints) -> Bools:
-        """Choices (n,) that cannot stand beside some, these among them."""
-        inside = np.zeros(len(self.choices), np.int32)
-        inside[rows] = 1
-        together = np.asarray(self.exclusive.T @ (self.exclusive @ inside)).ravel() > 0
-        return together | (inside > 0)
-
-    def are_crowded(self, rows: Ints) -> bool:
-        """Whether two of them cannot stand together."""
-        inside = np.bincount(rows, minlength=len(self.choices))
-        return bool((self.exclusive @ inside > 1).any())
 
 
 def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path]:
@@ -325,7 +319,11 @@ def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path
     if plan not in site.resolved.plans:
         raise InputError("no such plan", where=f"site {site.stem}", found=plan)
     settings, folder = site.resolved.settings, f"placement/{plan}"
-    names = {"solution": f"{folder}/solution.json", "targets": _TARGETS, "frame": FRAME}
+    names = {
+        "solution": f"{folder}/solution.json",
+        "targets": "placement/targets.parquet",
+        "frame": FRAME,
+    }
     for number in range(settings.coverage.rounds + 1):
         names[f"round {number}"] = f"placement/round-{number}/candidates.parquet"
         shards = settings.coverage.shards if number else settings.shards
@@ -361,48 +359,6 @@ def state_of(site: SiteFolder, plan: str, files: dict[str, Path]) -> str:
         site.resolved.settings.mounting.model_dump_json(),
     )
     return hashlib.sha256(json.dumps([states, asked]).encode()).hexdigest()[:16]
-
-
-def choices_to_try(
-    site: SiteFolder,
-    name: str,
-    files: dict[str, Path],
-    costs: dict[str, float],
-    solution: dict[str, Any],
-    targets: pd.DataFrame,
-) -> PlanChoices:
-    """What could stand instead of a plan's sensors: read and priced by the solver's own functions.
-
-    Forbidden are the places of zones, of the rules of mounting and of the plan; of the last, the
-    ones where its sensors stand stay.
-
-    Parameters
-    ----------
-    name : of the plan. files : as `plan_files`. costs : of each of its sensors.
-
-    Raises
-    ------
-    InputError : as the solver; or a sensor of the solution is no choice any more.
-    """
-    plan, frame = site.resolved.plans[name], site.frame()
-    where = f"site {site.stem}, plan {name}"
-    given = _given(site, name, plan, files)
-    found = read_choices(given, [f"{name}={cost!r}" for name, cost in costs.items()], frame)
-    matrix = found.matrix(targets["target"])
-    asked = read_asked(given, frame) or Asked({}, 1, where, exclude=True)
-    posed = pose(asked, matrix, found.choices, found.candidates, targets).deployment
-    chosen = _chosen(found.choices, solution, str(files["solution"]))
-    free = ~posed.problem.forbidden
-    free[chosen] = True
-    kept = np.flatnonzero(free)
-    choices = found.choices.assign(cost=posed.problem.costs).iloc[kept].reset_index(drop=True)
-    return PlanChoices(
-        found.candidates,
-        choices,
-        matrix[kept],
-        np.searchsorted(kept, chosen),
-        posed.exclusive[:, kept],
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

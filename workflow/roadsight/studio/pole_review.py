@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.triangulate.site import nearest_poles
 from roadsight.report.poles.poles_layers import finite, match_sightings
 from roadsight.studio.drawing import Metre
-from roadsight.studio.drive_views import images_of
+from roadsight.studio.drive_views import images_of, picture_type
 from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.requests import Body
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
@@ -46,7 +46,6 @@ _SHOWN = (
 _SEEN = ("image", "view", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "x", "y")
 _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
-_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
 _SAME_M = 0.01  # A decision and a pole so close belong together; files round places more finely
 
 
@@ -181,8 +180,7 @@ class Pictures:
         if rows.empty or column is None or not str(rows[column].iloc[0] or ""):
             raise InputError("no such image", where=f"site {site.stem}", found=f"{image}, {view}")
         name = str(rows[column].iloc[0])
-        kind = _TYPES.get(PurePath(name).suffix.lower(), "application/octet-stream")
-        path = Path(images_of(site))
+        kind, path = picture_type(name), Path(images_of(site))
         with self._lock:
             if self._source is not None and self._source.path == path:
                 with suppress(InputError):  # what it had found may have changed

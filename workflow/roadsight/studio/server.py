@@ -26,7 +26,6 @@ from werkzeug.wrappers import Response as AnyResponse
 from roadsight.base.errors import InputError
 from roadsight.studio.api_routes import (
     cloud_routes,
-    clouds_routes,
     drawing_routes,
     plans_routes,
     registration_routes,
@@ -49,7 +48,6 @@ ROUTES = {
     "run": run_routes,
     "results": results_routes,
     "plans": plans_routes,
-    "clouds": clouds_routes,
 }
 
 _DEFAULT_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from roadsight.report.files import filled_page
-from roadsight.report.wording import number, short
+from roadsight.report.wording import MISSING, number, short
 
 STYLES = ("base.css", "parts.css", "bench.css")
 TEMPLATE = "bench.html.j2"
@@ -67,18 +67,18 @@ def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
         "ours_s": short(row["cpu_s_ours"]),
         "against_s": short(row["cpu_s_against"]),
         "ratio": short(row["ratio"]),
-        "times": short(1 / row["ratio"]) if row["ratio"] > 0 else "\u2013",
+        "times": short(1 / row["ratio"]) if row["ratio"] > 0 else MISSING,
         "clock": clock,
         "ours_mib": _mib(row["peak_mib_ours"]),
         "against_mib": _mib(row["peak_mib_against"]),
-        "agreement": "\u2013" if row["agreement"] is None else number(row["agreement"]),
+        "agreement": MISSING if row["agreement"] is None else number(row["agreement"]),
         "metric": row["agreement_metric"],
         "slower": row["ratio"] < 1,
     }
 
 
 def _mib(value: float | None) -> str:
-    return "\u2013" if value is None else f"{value:.0f}"
+    return MISSING if value is None else f"{value:.0f}"
 
 
 def ratio_chart(rows: Sequence[Mapping[str, Any]]) -> str:

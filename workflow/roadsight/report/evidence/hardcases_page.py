@@ -26,11 +26,6 @@ _BOTTOM = 34.0  # numbers and title of the axis
 _WIDTH = 1060.0
 
 
-def words(name: str) -> str:
-    """Name of a case as people read it."""
-    return name.replace("_", " ")
-
-
 def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], version: str) -> str:
     """HTML of the page; the same results give the same text.
 
@@ -55,7 +50,7 @@ def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], v
 def _row(result: CaseResult) -> dict[str, Any]:
     case = result.case
     return {
-        "name": words(case.name),
+        "name": case.name.replace("_", " "),
         "hazard": case.hazard,
         "naive": short(result.naive_error),
         "ours": short(result.our_error),
@@ -105,13 +100,13 @@ def _line(result: CaseResult, y: float) -> str:
     ends = [_x(share_of_bound(e, case.bound)) for e in (result.our_error, result.naive_error)]
     row = _row(result)
     title = (
-        f"{words(case.name)}: naive {row['naive']}, ours {row['ours']},"
+        f"{row['name']}: naive {row['naive']}, ours {row['ours']},"
         f" bound {row['bound']} ({case.unit})"
     )
     return (
         f"<g><title>{escape(title)}</title>"
         f'<text class="name" x="{_LEFT - 10:g}" y="{y + 4:.1f}" text-anchor="end">'
-        f"{escape(words(case.name))}</text>"
+        f"{escape(row['name'])}</text>"
         f'<path class="span" d="M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"/>'
         f'<circle class="ours" cx="{ends[0]:.1f}" cy="{y:.1f}" r="4.5"/>'
         f'<path class="naive" d="M{ends[1] - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"/></g>'

@@ -11,12 +11,11 @@ import numpy as np
 from roadsight.evidence import paper, published
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.files import filled_page
-from roadsight.report.wording import number, short
+from roadsight.report.wording import MISSING, number, short
 
 TEMPLATE = "paper.html.j2"
 STYLES = ("base.css", "parts.css", "poles.css", "truth.css")
 ASSETS = (TEMPLATE, *STYLES)
-_NONE = "\u2013"
 
 # What a reader has to know of each item
 _ABOUT = {
@@ -107,7 +106,7 @@ def _shown(row: Row) -> dict[str, str]:
     shown = {"site": row["site"], "name": f"{name}{unit}"}
     for key in ("published", "as_published", "default", "cpu_s_as_published", "cpu_s_default"):
         value = row[key]
-        shown[key] = _NONE
+        shown[key] = MISSING
         if value is not None and math.isfinite(value):
             shown[key] = short(value) if abs(value) < 1000 else number(value)
     return shown

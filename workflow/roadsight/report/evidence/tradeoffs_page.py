@@ -11,7 +11,7 @@ from roadsight.evidence.studies import WHOLE_JOB, PublishedStage, Study
 from roadsight.evidence.tradeoffs import Cost, next_step
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.files import filled_page
-from roadsight.report.wording import number, percent
+from roadsight.report.wording import MISSING, number, percent
 
 TEMPLATE = "tradeoffs.html.j2"
 STYLES = ("base.css", "parts.css", "poles.css")
@@ -118,7 +118,7 @@ def verdict(rows: Sequence[Row]) -> str:
 def amount(value: float, unit: str) -> str:
     """Value with its unit."""
     if not math.isfinite(value):
-        return "\u2013"
+        return MISSING
     if unit == "share":
         return percent(value)
     return number(value) if unit in ("count", "1") else f"{number(value)} {unit}"
@@ -172,7 +172,7 @@ def stage_rows(
                 "hardware": f"{stage.cores} core{'s' if stage.cores > 1 else ''}"
                 + (" and a GPU" if stage.gpu else ""),
                 "published": number(stage.minutes_per_mile * stage.cores),
-                "own": number(math.fsum(own) / 60 / miles) if own else "\u2013",
+                "own": number(math.fsum(own) / 60 / miles) if own else MISSING,
                 "rules": ", ".join(stage.rules),
             }
         )

@@ -12,12 +12,11 @@ import pandas as pd
 from roadsight.evidence.truth.catalogue import AREAS, Area
 from roadsight.evidence.truth.table import MEAN, holds
 from roadsight.report.files import filled_page
-from roadsight.report.wording import number, short
+from roadsight.report.wording import MISSING, number, short
 
 STYLES = ("base.css", "parts.css", "truth.css")
 TEMPLATE = "truth.html.j2"
 ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_truth` needs
-_NONE = "\u2013"
 _WIDTH = 720.0
 _LEFT = 190.0
 _RIGHT = 60.0
@@ -95,7 +94,7 @@ def _float(value: Any) -> float:
 
 
 def _shown(value: float) -> str:
-    return short(value) if math.isfinite(value) else _NONE
+    return short(value) if math.isfinite(value) else MISSING
 
 
 def dumbbells(metric: str, rows: pd.DataFrame) -> str:

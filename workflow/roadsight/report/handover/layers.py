@@ -104,11 +104,8 @@ def draped(features: gpd.GeoDataFrame, dem: Raster) -> gpd.GeoDataFrame:
     xy = shapely.get_coordinates(geometries)
     z = dem.sample(xy[:, 0], xy[:, 1])
     known = np.isfinite(z)
-    if known.any():
-        order = np.arange(len(z))
-        z = np.interp(order, order[known], z[known])
-    else:
-        z = np.zeros(len(z))
+    order = np.arange(len(z))
+    z = np.interp(order, order[known], z[known]) if known.any() else np.zeros(len(z))
     flat = shapely.force_3d(shapely.force_2d(geometries))
     placed = shapely.set_coordinates(flat, np.column_stack([xy, z]))
     return features.set_geometry(gpd.GeoSeries(placed, features.index))
@@ -220,7 +217,6 @@ def plan_layers(
     objects: gpd.GeoDataFrame | None = None,
 ) -> list[Layer]:
     """Layers of a plan, the sensors on top."""
-    group = f"Plan {plan}"
     found = [
         ("sensors", "Chosen sensors; z is the sensor's.", sensors, SENSOR_STYLE),
         (
@@ -235,17 +231,11 @@ def plan_layers(
             obstacles,
             Style("marker", "#7c3aed", size_mm=1.2),
         ),
-        *(
-            []
-            if objects is None
-            else [
-                (
-                    "objects",
-                    "Objects in the way, by what they hide.",
-                    objects,
-                    Style("marker", "#be185d", size_mm=2.4, label="name"),
-                )
-            ]
+        (
+            "objects",
+            "Objects in the way, by what they hide.",
+            objects,
+            Style("marker", "#be185d", size_mm=2.4, label="name"),
         ),
         (
             "targets",
@@ -255,8 +245,9 @@ def plan_layers(
         ),
     ]
     return [
-        Layer(f"{name}_{plan}", group, about, features, style, "Point Z")
+        Layer(f"{name}_{plan}", f"Plan {plan}", about, features, style, "Point Z")
         for name, about, features, style in found
+        if features is not None
     ]
 
 

@@ -197,10 +197,9 @@ def finite(value: Any) -> Any:
 
 # The LiDAR's classes seen from above, as a small picture for the map.
 
-# What a pixel shows; of several in one pixel the last one wins
-KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
 LEVELS = 40  # Grey levels between two kinds, so that no rounding in a browser mixes them up
-# Colours of the picture by class of LAS: vegetation, of any height, has one
+# Kinds by class of LAS: 2 ground, 3 vegetation of any height, 4 building, 5 road, 6 bridge; further
+# 0 nothing and 1 other. Of several in one pixel of the picture the last one wins.
 _KIND_OF_CLASS = {2: 2, 3: 3, 4: 3, 5: 3, 6: 4, 11: 5, 17: 6}
 # Cells along the longer side of the picture; cells are merged until it is no larger
 _MOST_CELLS = 2200

@@ -194,7 +194,6 @@ def _image(camera: pd.Series, result: PolesResult, owner: Ints) -> dict[str, Any
 
 
 def _routes(cameras: pd.DataFrame) -> list[dict[str, Any]]:
-    """Figures of the alignment along each route."""
     columns = ("station_m", "residual_px", "yaw_deg", "sigma_yaw_deg", "lateral_m")
     return [
         {

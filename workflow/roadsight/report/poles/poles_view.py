@@ -10,11 +10,10 @@ import numpy as np
 
 from roadsight.evidence import published
 from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
-from roadsight.report import wording
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.poles.hazard_charts import SAME_M, profile_chart, zone_text
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
-from roadsight.report.wording import counted, number
+from roadsight.report.wording import MISSING, counted, label, metres, number, quantity
 
 _FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".csv": "CSV", ".parquet": "Parquet"}
 
@@ -126,33 +125,25 @@ def poles_cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     counts, validation = page["counts"], page["validation"] or {}
     sigmas = [pole["sigma_major_m"] for pole in page["layers"]["poles"]]
     known = [sigma for sigma in sigmas if sigma is not None]
-    km = f"{wording.number(counts['length_m'] / 1000, 2)} km of road"
+    km = f"{number(counts['length_m'] / 1000, 2)} km of road"
     kinds = Counter(pole["kind"] for pole in page["layers"]["poles"])
-    named = ", ".join(wording.counted(count, kind) for kind, count in kinds.most_common())
+    named = ", ".join(counted(count, kind) for kind, count in kinds.most_common())
     things = _thing(page)["many"]
     cards = [
         (
             f"{things.capitalize()} located",
-            wording.number(counts["poles"]),
+            number(counts["poles"]),
             (km if counts["length_m"] else "") if things == "poles" else named,
         ),
-        (
-            "Images aligned",
-            wording.number(counts["aligned"]),
-            f"of {wording.number(counts['images'])}",
-        ),
-        (
-            "Sightings kept",
-            wording.number(counts["kept"]),
-            f"of {wording.number(counts['sightings'])}",
-        ),
+        ("Images aligned", number(counts["aligned"]), f"of {number(counts['images'])}"),
+        ("Sightings kept", number(counts["kept"]), f"of {number(counts['sightings'])}"),
     ]
     if known:
-        sigma = wording.metres(float(np.median(known)), 2)
+        sigma = metres(float(np.median(known)), 2)
         cards.append(("Uncertainty, median", sigma, "one sigma, longer axis"))
     if validation.get("mean_m") is not None:
-        checked = wording.counted(len(validation.get("errors", [])), "pole")
-        cards.append(("Mean error", wording.metres(validation["mean_m"], 2), f"{checked} checked"))
+        checked = counted(len(validation.get("errors", [])), "pole")
+        cards.append(("Mean error", metres(validation["mean_m"], 2), f"{checked} checked"))
     return cards
 
 
@@ -163,13 +154,13 @@ def _checked(validation: dict[str, Any]) -> dict[str, Any]:
     spread = float(np.std(geodesic, ddof=1)) if len(geodesic) > 1 else None
     rows = [
         ("Poles matched to known ones", number(len(errors)), number(published.CHECKED)),
-        ("Mean distance", _mean(geodesic), wording.metres(published.MEAN_M)),
-        ("Standard deviation", wording.metres(spread, 2), wording.metres(published.STD_M)),
-        ("Three quarters within", _quartile(geodesic), wording.metres(published.WITHIN_75_M)),
+        ("Mean distance", _mean(geodesic), metres(published.MEAN_M)),
+        ("Standard deviation", metres(spread, 2), metres(published.STD_M)),
+        ("Three quarters within", _quartile(geodesic), metres(published.WITHIN_75_M)),
         (
             "Across the road, three quarters within",
             _quartile(across),
-            wording.metres(published.ACROSS_75_M),
+            metres(published.ACROSS_75_M),
         ),
     ]
     return {
@@ -194,18 +185,18 @@ def _truth(validation: dict[str, Any]) -> str:
     if not isinstance(truth, dict):
         return "" if truth is None else f"Known poles: {truth}."
     known, away = truth.get("within_reach", 0), truth.get("out_of_reach", 0)
-    text = wording.counted(known, "known pole") + " within reach of an image"
+    text = counted(known, "known pole") + " within reach of an image"
     if "reach_m" in truth:
-        text += f" ({wording.metres(truth['reach_m'], 0)})"
-    return f"{text}{f'; {wording.number(away)} out of reach do not count' if away else ''}."
+        text += f" ({metres(truth['reach_m'], 0)})"
+    return f"{text}{f'; {number(away)} out of reach do not count' if away else ''}."
 
 
 def _mean(values: Sequence[float]) -> str:
-    return wording.metres(float(np.mean(values)), 2) if values else wording.MISSING
+    return metres(float(np.mean(values)), 2) if values else MISSING
 
 
 def _quartile(values: Sequence[float]) -> str:
-    return wording.metres(float(np.quantile(values, 0.75)), 2) if values else wording.MISSING
+    return metres(float(np.quantile(values, 0.75)), 2) if values else MISSING
 
 
 def _scenarios(errors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -223,7 +214,7 @@ def _scenarios(errors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "name": name[:1].upper() + name[1:],
                 "poles": len(groups[name]),
                 "mean_m": _mean(geodesic),
-                "most_m": wording.metres(max(geodesic, default=None), 2),
+                "most_m": metres(max(geodesic, default=None), 2),
                 "across_m": _mean(across),
                 "paper": published.scenario_mean_m(name),
             }
@@ -237,7 +228,7 @@ def _ablation(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     rows = []
     for record in records:
         name = str(record["component"])
-        title, about = published.COMPONENTS.get(name, (wording.label(name), ""))
+        title, about = published.COMPONENTS.get(name, (label(name), ""))
         rows.append({"title": title, "about": about, **{key: record.get(key) for key in keys}})
     return rows
 
@@ -250,11 +241,11 @@ def _hazard(table: dict[str, Any], numbers: dict[str, int]) -> dict[str, Any] | 
     keys.sort(key=lambda key: key not in _HAZARD_FIRST)
     records = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
     counts = Counter(record.get("rating") for record in records)
-    named = [f"{wording.number(counts[rating])} {rating}" for rating in _RATINGS if counts[rating]]
+    named = [f"{number(counts[rating])} {rating}" for rating in _RATINGS if counts[rating]]
     return {
         "ratings": ", ".join(named),
         "keys": keys,
-        "titles": [_HAZARD_TITLES.get(key) or wording.label(key) for key in keys],
+        "titles": [_HAZARD_TITLES.get(key) or label(key) for key in keys],
         "rows": [
             {
                 "pole": numbers.get(str(record.get("id", record.get("pole")))),
@@ -274,7 +265,7 @@ def _profiles(profiles: Sequence[dict[str, Any]], numbers: dict[str, int]) -> li
     for profile in profiles:
         place = {-1: "left", 1: "right"}.get(profile["side"], "side unknown")
         if profile["route"]:
-            station = wording.metres(profile["station_m"], 1)
+            station = metres(profile["station_m"], 1)
             place = f"route {profile['route']}, {station}, {place}"
         found.append(
             {
@@ -301,7 +292,7 @@ def _cell(key: str, value: Any) -> dict[str, Any]:
         }
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
     rounded = round(value, 2) if isinstance(value, float) else value
-    text = wording.quantity("" if key == "objects_per_km" else key, rounded)
+    text = quantity("" if key == "objects_per_km" else key, rounded)
     sort = "" if value is None else value
     return {"text": text, "sort": sort, "number": numeric}
 
@@ -443,27 +434,24 @@ def error_charts(errors: Sequence[dict[str, Any]]) -> list[dict[str, str]]:
         known = [(abs(error[key]), error) for error in errors if error.get(key) is not None]
         known.sort(key=lambda pair: pair[0])
         values = [value for value, _ in known]
-        label = f"{title}, m"
+        axis, ranks = f"{title}, m", "Poles, from the best to the worst"
         span = span_of(values, start=0.0, least=1.0)
-        scatter = Chart(
-            label, "Poles, from the best to the worst", label, (0.0, len(values) + 1.0), span
-        )
+        scatter = Chart(axis, ranks, axis, (0.0, len(values) + 1.0), span)
         scatter.level(paper, "reference", f"paper: 75 % within {number(paper)} m")
         if values:
             quartile = float(np.quantile(values, 0.75))
             scatter.level(quartile, "fit", f"here: 75 % within {number(quartile, 2)} m")
         texts = [f"{error.get('pole')}: {number(value, 2)} m" for value, error in known]
-        ranks = [float(n + 1) for n in range(len(known))]
-        scatter.dots(ranks, values, "good", texts)
+        scatter.dots([float(n + 1) for n in range(len(known))], values, "good", texts)
         counts, edges = np.histogram(values, bins=_BINS, range=(0.0, span[1]))
-        histogram = Chart(f"Histogram: {label}", label, "Poles", span, span_of(counts, start=0.0))
+        histogram = Chart(f"Histogram: {axis}", axis, "Poles", span, span_of(counts, start=0.0))
         histogram.bars(edges.tolist(), counts.tolist(), "good")
         found.append({"title": title, "scatter": scatter.svg(), "histogram": histogram.svg()})
     return found
 
 
 def f1_chart(thresholds: Sequence[dict[str, Any]]) -> str:
-    """F1 score, precision and recall by distance threshold, and the paper's F1 score."""
+    """F1 score by distance threshold, and the paper's."""
     x = [float(row["threshold_m"]) for row in thresholds]
     chart = Chart(
         "F1 score by distance threshold",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from roadsight.placement.plans.tolerance import OUT
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.packing import pack
-from roadsight.report.wording import counted, number, percent
+from roadsight.report.wording import MISSING, counted, number, percent
 
 _LISTED = 6  # Names in a cell of a table; of more, their number is told
 
@@ -205,7 +205,7 @@ def tolerance_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     rows = []
     for row in found["rows"]:
         # The sensor and the change that lose most; a sensor that is out needs no name of a change.
-        worst = f"sensor {numbers.get(row['sensor'], '?')}" if row["lost"] else "\u2013"
+        worst = f"sensor {numbers.get(row['sensor'], '?')}" if row["lost"] else MISSING
         if row["lost"] and row["name"] != OUT:
             worst += f", {row['name']}"
         rows.append(

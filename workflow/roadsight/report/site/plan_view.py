@@ -210,7 +210,6 @@ def _metres(value: float | None) -> str:
 
 
 def _millions(value: float, unit: str) -> str:
-    """Nothing for none."""
     return f"{number(value / 1e6, 2)} million {unit}/s" if value else ""
 
 
