@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from roadsight.report.document import embedded
-from roadsight.report.packing import pack, pack_points
-from roadsight.report.site.thinning import thin
+from roadsight.report.packing import pack, pack_points, thin
 from roadsight.report.wording import number, percent
 
 coordinates = st.floats(-1e5, 1e5, width=32)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from shapely import LineString, MultiPolygon, Point, Polygon, box
 
-from roadsight.report.packing import pack, pack_points, to_byte
+from roadsight.report.packing import pack, pack_points, sample_mask, thin, to_byte
 from roadsight.report.site.layers import (
     NO_DATA,
     UNKNOWN_HEIGHT,
@@ -25,7 +25,6 @@ from roadsight.report.site.layers import (
     relief_layer,
     target_layer,
 )
-from roadsight.report.site.thinning import sample_mask, thin
 
 
 def unpack(packed):

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from roadsight.io.raster.top_rasters import TopRaster
 from roadsight.report.poles.poles_layers import (
     ACCEPTED,
-    KINDS,
     LEVELS,
     REJECTED,
     UNUSED,
@@ -26,6 +25,8 @@ from roadsight.report.poles.poles_layers import (
 )
 from roadsight.report.poles.poles_page import choose_images, overlay, picture, plain, pole_cautions
 from roadsight.report.poles.poles_view import _hazard as hazard_view
+
+KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
 
 
 def unpacked(packed):
@@ -293,6 +294,6 @@ def test_a_range_is_written_as_one():
     page = {"columns": ["id", "offset_m", "clear_zone_m", "inside_clear_zone", *RANGE]}
     page["rows"] = [["a", 4.0, 8.0, True, 3.0, 8.0], ["b", 2.0, 8.0, True, 8.0, 8.0]]
     page["rows"] += [["c", 2.5, 8.0, True, 3.0, 8.0], ["d", None, 8.0, False, 3.0, 8.0]]
-    texts = [[cell["text"] for cell in row["cells"]] for row in hazard_view(page, [])["rows"]]
+    texts = [[cell["text"] for cell in row["cells"]] for row in hazard_view(page, {})["rows"]]
     assert [row[2] for row in texts] == ["3.0 to 8.0 m", "8\u202fm", "3.0 to 8.0 m", "3.0 to 8.0 m"]
     assert [row[3] for row in texts] == ["perhaps", "yes", "yes", "no"]

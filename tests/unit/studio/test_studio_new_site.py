@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.studio.new_site import CloudBody, new_site
 from roadsight.studio.project import Project
+from roadsight.studio.site_files import CloudBody, new_site
 from tests.conftest import PROJECT
 from tests.helpers.las_files import random_points, wkt_of, write_las
 

@@ -230,7 +230,7 @@ def test_impossible_poses_are_refused(drive, change):
 def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, folder):
     import cv2
 
-    from roadsight.studio.pictures import lens_for, without_distortion
+    from roadsight.studio.drive_views import lens_for, without_distortion
 
     site, key = project.site("drive"), ("40001", 800, 400)
     assert lens_for(site, key) is None

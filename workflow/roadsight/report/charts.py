@@ -17,16 +17,11 @@ _LEFT = 56.0  # numbers of the y axis
 _RIGHT = 14.0
 _TOP = 12.0
 _BOTTOM = 42.0  # numbers and title of the x axis
-_TICKS = 6
-"""Most numbers on an axis; more would touch each other on a plot of ordinary size."""
-_CHARACTER = 5.8
-"""About the width of a label's letter, px."""
-_LINE = 11.0
-"""About the height of a label's letters, px."""
-
+_TICKS = 6  # Most numbers on an axis; more would touch each other on a plot of ordinary size
+_CHARACTER = 5.8  # About the width of a label's letter, px
+_LINE = 11.0  # About the height of a label's letters, px
 Span = tuple[float, float]
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom, px."""
+Box = tuple[float, float, float, float]  # Left, top, right, bottom, px
 
 
 def span_of(
@@ -206,9 +201,12 @@ class Chart:
         for below, (beside, anchor) in product((-6, 14), sides):
             at, base = self.x(x) + beside, self.y(y) + below
             left = at if anchor == "start" else at - wide
-            box = (left, base - _LINE, left + wide, base)
-            if self._has_room(box):
-                self._labels.append(box)
+            right, top = left + wide, base - _LINE
+            inside = left >= _LEFT and right <= self.size[0] and top >= 0
+            if (inside and base <= self.size[1] - _BOTTOM) and not any(
+                left < b[2] and b[0] < right and top < b[3] and b[1] < base for b in self._labels
+            ):
+                self._labels.append((left, top, right, base))
                 place = f'x="{at:.1f}" y="{base:.1f}" text-anchor="{anchor}"'
                 self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
                 return
@@ -217,14 +215,6 @@ class Chart:
         """Text at a place, whatever lies there."""
         place = f'x="{self.x(x):.1f}" y="{self.y(y):.1f}" text-anchor="{anchor}"'
         self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
-
-    def _has_room(self, box: Box) -> bool:
-        """Whether a box lies inside the axes' area and off all labels."""
-        left, top, right, bottom = box
-        inside = left >= _LEFT and right <= self.size[0] and top >= 0
-        return (inside and bottom <= self.size[1] - _BOTTOM) and not any(
-            left < b[2] and b[0] < right and top < b[3] and b[1] < bottom for b in self._labels
-        )
 
     def svg(self) -> str:
         """The plot."""

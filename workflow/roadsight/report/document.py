@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import longitudes_latitudes
@@ -27,11 +26,12 @@ from roadsight.report.printed_map import plan_sketch
 from roadsight.report.site.page import FORMAT
 from roadsight.report.site.plan_view import best_plan, plan_views
 
-_ROWS_SHOWN = 100
-"""Rows of a long table that are shown before a reader asks for the rest."""
+_Page = dict[str, Any]
 
+_ROWS_SHOWN = 100  # Rows of a long table that are shown before a reader asks for the rest
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
 
+# Backgrounds of the map and their titles, in the order in which they are offered
 _BELOW = {
     "orthophoto": "Orthophoto",
     "relief": "Terrain relief",
@@ -40,7 +40,6 @@ _BELOW = {
     "height": "Height above ground, to 12 m",
     "plain": "Nothing",
 }
-"""Backgrounds of the map and their titles, in the order in which they are offered."""
 
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
@@ -70,7 +69,13 @@ def render_report(
     ------
     InputError : no page, a page of another format, or two pages of one site.
     """
-    sites = _pairs(pages, poles_pages)
+    _check(pages, FORMAT, "--pages")
+    _check(poles_pages, POLES_FORMAT, "--poles-pages")
+    if not pages and not poles_pages:
+        raise InputError("no site to report", where="--pages")
+    poles = {page["summary"]["site"]: page for page in poles_pages}
+    scenes = [(page, poles.pop(page["summary"]["site"], None)) for page in pages]
+    sites = [*scenes, *((None, page) for page in poles.values())]  # those with poles alone last
     environment = template_environment({name: assets[name] for name in TEMPLATES})
     environment.filters |= {name: getattr(wording, name) for name in _FILTERS} | {
         "quantity": wording.quantity,
@@ -88,22 +93,6 @@ def render_report(
         files=files or {},
         rows=_ROWS_SHOWN,
     )
-
-
-_Page = dict[str, Any]
-
-
-def _pairs(
-    pages: Sequence[_Page], poles_pages: Sequence[_Page]
-) -> list[tuple[_Page | None, _Page | None]]:
-    """Scene page and poles page of each site; sites with poles alone come last."""
-    _check(pages, FORMAT, "--pages")
-    _check(poles_pages, POLES_FORMAT, "--poles-pages")
-    if not pages and not poles_pages:
-        raise InputError("no site to report", where="--pages")
-    poles = {page["summary"]["site"]: page for page in poles_pages}
-    scenes = [(page, poles.pop(page["summary"]["site"], None)) for page in pages]
-    return [*scenes, *((None, page) for page in poles.values())]
 
 
 def _check(pages: Sequence[_Page], allowed: str, where: str) -> None:
@@ -131,25 +120,46 @@ def _site(
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
     scene = {"plans": [], "sensors": {}, "sketch": ""} if page is None else _scene(page)
+    found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    found = [caution for number, caution in enumerate(found) if caution not in found[:number]]
+    summary, frame = about["summary"], about["frame"]
+    poles_data = None
+    if poles_page is not None:  # what the poles' map and images draw
+        drawn = {key: poles_page[key] for key in ("layers", "images", "hazard")}
+        errors = (poles_page["validation"] or {}).get("errors", [])
+        poles_data = embedded(drawn | {"errors": errors, "place": _place(poles_page)})
     return {
         "id": identifier,
-        "title": about["title"] or about["summary"]["site"],
+        "title": about["title"] or summary["site"],
         "scene": page is not None,
         "poles": poles,
         "cards": cards_of(page, poles_page),
-        "cautions": _cautions(page, poles_page),
-        "sections": _sections(page, poles, about["summary"], files),
-        "effects": effect_rows(about["summary"]["effects"]),
+        "cautions": sorted(found, key=lambda caution: caution["level"] != "warning"),
+        "sections": _sections(page, poles, summary, files),
+        "effects": effect_rows(summary["effects"]),
         **scene,
-        **_coordinates(about["frame"]),
-        **_provenance(about),
-        "poles_data": None if poles_page is None else embedded(_drawn_poles(poles_page)),
+        "crs": frame["crs_name"],
+        "located": frame["crs_wkt"] is not None,
+        "unit": _unit_sign(frame["unit"]),
+        "vertical_unit": _unit_sign(frame["vertical_unit"]),
+        "unit_name": frame["unit"],
+        "vertical_unit_name": frame["vertical_unit"],
+        "points": frame["points"],
+        "origin": ", ".join(wording.number(value, 3) for value in frame["origin"]),
+        "settings": settings_asked_for(summary),
+        "name": summary["site"],
+        "version": summary["version"],
+        "seed": summary["seed"],
+        "inputs": summary["inputs"],
+        "poles_data": poles_data,
     }
 
 
 def _scene(page: _Page) -> dict[str, Any]:
-    """Scene and placement."""
     costs = [sensor["cost"] for sensor in page["sensors"].values()]
+    candidates = page["layers"].get("candidates")
+    there = {"relief", "plain", *page["layers"]["below"]}
+    cloud = page["layers"]["cloud"]
     return {
         "plans": plan_views(page["plans"], Frame.from_dict(page["frame"])),
         "asked": _has(page, "options"),
@@ -157,28 +167,28 @@ def _scene(page: _Page) -> dict[str, Any]:
         "shared": _has(page, "data"),
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
-        "densified": _is_densified(page),
+        # Candidates of later rounds lie near gaps.
+        "densified": candidates is not None and bool(unpack(candidates["round"]).any()),
         "unexamined": bool(page["layers"].get("unexamined")),
         "priced": is_priced(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         "sketch": plan_sketch(page, best_plan(page["plans"])) if page["plans"] else "",
-        "below": _below(page),
-        **_cloud(page),
+        "below": [(name, title) for name, title in _BELOW.items() if name in there],
+        "shown_points": cloud["xyz"]["count"] // 3,
+        "has_intensity": cloud["intensity"] is not None,
+        "has_colour": cloud["colour"] is not None,
         **_evidence(page),
-        "data": embedded(_drawn(page)),
+        # What map and 3D view draw.
+        "data": embedded(
+            {
+                "layers": page["layers"],
+                "plans": page["plans"],
+                "sensors": page["sensors"],
+                "place": _place(page),
+                "cell_size_m": page["summary"]["settings"]["targets"]["cell_size_m"],
+            }
+        ),
     }
-
-
-def _is_densified(page: _Page) -> bool:
-    """Whether there are candidates of later rounds, which lie near gaps."""
-    candidates = page["layers"].get("candidates")
-    return candidates is not None and bool(unpack(candidates["round"]).any())
-
-
-def _below(page: _Page) -> list[tuple[str, str]]:
-    """What the map may lie on, as name and title; the first one is shown."""
-    there = {"relief", "plain", *page["layers"]["below"]}
-    return [(name, title) for name, title in _BELOW.items() if name in there]
 
 
 def is_priced(page: _Page) -> bool:
@@ -188,43 +198,10 @@ def is_priced(page: _Page) -> bool:
 
 
 def _has(page: _Page, key: str) -> bool:
-    """Whether any plan has such a part."""
     return any(key in plan for plan in page["plans"])
 
 
-def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
-    """Cautions of both jobs, warnings first; what both say stands once."""
-    found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
-    found = [caution for number, caution in enumerate(found) if caution not in found[:number]]
-    return sorted(found, key=lambda caution: caution["level"] != "warning")
-
-
-def _coordinates(about: dict[str, Any]) -> dict[str, Any]:
-    """Coordinate system and units."""
-    return {
-        "crs": about["crs_name"],
-        "located": about["crs_wkt"] is not None,
-        "unit": _unit_sign(about["unit"]),
-        "vertical_unit": _unit_sign(about["vertical_unit"]),
-        "unit_name": about["unit"],
-        "vertical_unit_name": about["vertical_unit"],
-        "points": about["points"],
-        "origin": ", ".join(wording.number(value, 3) for value in about["origin"]),
-    }
-
-
-def _cloud(page: dict[str, Any]) -> dict[str, Any]:
-    """What there is of the cloud."""
-    cloud = page["layers"]["cloud"]
-    return {
-        "shown_points": cloud["xyz"]["count"] // 3,
-        "has_intensity": cloud["intensity"] is not None,
-        "has_colour": cloud["colour"] is not None,
-    }
-
-
 def _evidence(page: dict[str, Any]) -> dict[str, Any]:
-    """Scene, and the sensors' parameters."""
     summary, sensors = page["summary"], page["sensors"]
     figures = dict(summary["scene"])
     scores, _ = figures.pop("pavement_scores", None), figures.pop("traffic", None)
@@ -241,38 +218,7 @@ def _evidence(page: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _provenance(page: _Page) -> dict[str, Any]:
-    """Parameters and what the results were made from."""
-    summary = page["summary"]
-    return {
-        "settings": settings_asked_for(summary),
-        "name": summary["site"],
-        "version": summary["version"],
-        "seed": summary["seed"],
-        "inputs": summary["inputs"],
-    }
-
-
-def _drawn(page: dict[str, Any]) -> dict[str, Any]:
-    """What map and 3D view draw."""
-    return {
-        "layers": page["layers"],
-        "plans": page["plans"],
-        "sensors": page["sensors"],
-        "place": _place(page),
-        "cell_size_m": page["summary"]["settings"]["targets"]["cell_size_m"],
-    }
-
-
-def _drawn_poles(page: _Page) -> dict[str, Any]:
-    """What the poles' map and images draw."""
-    kept = ("layers", "images", "hazard")
-    errors = (page["validation"] or {}).get("errors", [])
-    return {key: page[key] for key in kept} | {"errors": errors, "place": _place(page)}
-
-
 def _place(page: _Page) -> dict[str, Any]:
-    """What the maps tell coordinates by."""
     about = page["frame"]
     bounds = about.get("bounds_m") or [0.0] * 6
     corners = [bounds[0], bounds[1], bounds[3], bounds[4]]
@@ -292,12 +238,11 @@ def css_text(text: str) -> str:
 
 def cards_of(page: _Page | None, poles_page: _Page | None) -> list[tuple[str, str, str]]:
     """Key figures of a site: name, value, remark."""
-    scene = [] if page is None else _cards(page)
+    scene = [] if page is None else _scene_cards(page)
     return [*scene, *([] if poles_page is None else poles_cards(poles_page))]
 
 
-def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Key figures of scene and placement."""
+def _scene_cards(page: _Page) -> list[tuple[str, str, str]]:
     lengths = [edge["length_m"] for edge in page["layers"]["edges"]]
     cards = [
         ("Pavement", wording.quantity("area_m2", round(page["pavement_area_m2"])), ""),
@@ -313,7 +258,12 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     positions = candidates["heights"]["count"]
     best = best_plan(page["plans"])
     count = wording.counted(len(best["sensors"]), "sensor")
-    first = [("Fewest sensors", count, best["title"]), *_proven_card(page)]
+    first = [("Fewest sensors", count, best["title"])]
+    if "proven_share" in best:
+        proven = wording.quantity("area_m2", round(best["proven_area_m2"]))
+        whole = wording.quantity("area_m2", round(page["pavement_area_m2"]))
+        remark = f"{proven} of {whole} of pavement, {best['title']}"
+        first.append(("Proven in sight", wording.percent(best["proven_share"]), remark))
     if is_priced(page):
         first.append(("Cost", wording.number(best["objective"]), best["title"]))
     targets = len(page["layers"]["targets"]["names"])
@@ -322,19 +272,6 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     first.append(("Targets not covered", wording.number(unseen) if unseen else "none", remark))
     remark = f"at {wording.counted(positions, 'position')}"
     return [*first, *cards, ("Candidates", wording.number(candidates["total"]), remark)]
-
-
-def _proven_card(page: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """What the proof of the plan shown first is about; nothing where nobody measured."""
-    best = best_plan(page["plans"])
-    if "proven_share" not in best:
-        return []
-    proven_m2, whole_m2 = round(best["proven_area_m2"]), round(page["pavement_area_m2"])
-    remark = (
-        f"{wording.quantity('area_m2', proven_m2)} of"
-        f" {wording.quantity('area_m2', whole_m2)} of pavement, {best['title']}"
-    )
-    return [("Proven in sight", wording.percent(best["proven_share"]), remark)]
 
 
 def _sections(
@@ -372,11 +309,8 @@ def _unit_sign(name: str) -> str:
 
 # Where a map is: what turns its local metres into native coordinates and degrees.
 
-_SIDE = 5
-"""Places a side at which the projection is asked; six coefficients need no more."""
-
-_LEAST_SPAN_M = 100.0
-"""The box is at least so wide, so that the coefficients are determined."""
+_SIDE = 5  # Places a side at which the projection is asked; six coefficients need no more
+_LEAST_SPAN_M = 100.0  # The box is at least so wide, so that the coefficients are determined
 
 
 def map_place(frame: Frame, bounds_m: ArrayLike, unit: str) -> dict[str, Any]:
@@ -401,24 +335,21 @@ def map_place(frame: Frame, bounds_m: ArrayLike, unit: str) -> dict[str, Any]:
     span = max(east - west, north - south, _LEAST_SPAN_M)
     u, v = (part.ravel() for part in np.meshgrid(*[np.linspace(-0.5, 0.5, _SIDE)] * 2))
     degrees = longitudes_latitudes(frame, centre + span * np.column_stack([u, v]))
+    coefficients = None
+    if degrees is not None:
+        terms = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v])
+        coefficients = np.linalg.lstsq(terms, degrees, rcond=None)[0].T.tolist()
     return {
         "origin": [float(value) for value in frame.origin[:2]],
         "unit_m": frame.unit_m,
         "unit": unit,
         "centre_m": centre.tolist(),
         "span_m": float(span),
-        "lon_lat": None if degrees is None else _fitted(u, v, degrees).T.tolist(),
+        "lon_lat": coefficients,
     }
 
 
-def _fitted(u: Floats, v: Floats, degrees: Floats) -> Floats:
-    """Coefficients (6, 2) by least squares."""
-    terms = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v])
-    return np.asarray(np.linalg.lstsq(terms, degrees, rcond=None)[0])
-
-
-# The files of a site that people open, with their sizes and what opens them.
-
+# Files of a site that people open: pattern within its folder, what it holds, what opens it
 FILES = (
     ("report.pdf", "the report on paper", "any PDF reader"),
     ("stakeout.csv", "where to set the sensors", "a spreadsheet, a total station"),
@@ -455,9 +386,6 @@ FILES = (
     ("effects.json", "effects simulated or skipped, and why", "programs"),
     ("summary.json", "all of it in numbers", "programs"),
 )
-"""Pattern within the site's folder, what it holds, what opens it."""
-
-_STEPS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
 @dataclass(frozen=True)
@@ -486,7 +414,7 @@ def result_files(results: Path, site: str) -> Sequence[ResultFile]:
 
 def size_text(size: int) -> str:
     """Bytes as people say them: ``12 kB``, ``3.4 MB``."""
-    for step, unit in _STEPS:
+    for step, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if size >= step:
             value = size / step
             return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"

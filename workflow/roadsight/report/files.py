@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from importlib import resources
+from typing import Any
 
 import jinja2
 
@@ -56,11 +57,7 @@ TEMPLATES = (
     "common.html.j2",
 )
 
-ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
-"""Names of the files that `render_report` needs."""
-
-
-# How all pages fill their templates.
+ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)  # Names of the files that `render_report` needs
 
 
 def template_environment(templates: Mapping[str, str]) -> jinja2.Environment:
@@ -72,3 +69,12 @@ def template_environment(templates: Mapping[str, str]) -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+
+
+def filled_page(
+    template: str, styles: Iterable[str], assets: Mapping[str, str], **content: Any
+) -> str:
+    """Page of one template and some styles, all by their names in the assets."""
+    environment = template_environment({template: assets[template]})
+    css = "\n".join(assets[name] for name in styles)
+    return environment.get_template(template).render(css=css, **content)

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from roadsight.base.sections import poles
 from roadsight.config.schema import Settings
-from roadsight.report.wording import label, lower_first, number, percent, quantity, seconds, unit
+from roadsight.report.wording import label, lower_first, percent, quantity, seconds, short, unit
 from roadsight.scene.classes import CLASS_NAMES
 
 
@@ -40,14 +40,17 @@ def setting_groups(settings: dict[str, Any]) -> list[Group]:
     """Settings by section, in the order of the schema; what the schema lacks comes last."""
     order = _ordered(Settings, settings)
     general = [name for name in order if not isinstance(settings[name], dict)]
-    groups = [Group("General", [_setting((name,), settings[name]) for name in general])]
+    groups = [
+        Group("General", [_setting(Settings, name, settings[name], name) for name in general])
+    ]
     for name in order:
-        section = settings[name]
-        if isinstance(section, dict):
-            keys = _ordered(_section(name), section)
-            groups.append(
-                Group(_title(name), [_setting((name, key), section[key]) for key in keys])
-            )
+        content = settings[name]
+        if isinstance(content, dict):
+            section = _section(name)
+            about = None if section is BaseModel else section.__doc__
+            keys = _ordered(section, content)
+            rows = [_setting(section, key, content[key], f"{name}.{key}") for key in keys]
+            groups.append(Group((about or label(name)).rstrip("."), rows))
     return [group for group in groups if group.rows]
 
 
@@ -55,12 +58,9 @@ def settings_asked_for(summary: dict[str, Any]) -> list[Group]:
     """Settings that have a say in what was asked for: those of poles only where there are any."""
     settings = summary["settings"]
     if "poles" not in summary:
-        settings = {name: value for name, value in settings.items() if not _of_poles(name)}
+        others = [name for name in settings if _section(name).__module__ != poles.__name__]
+        settings = {name: settings[name] for name in others}
     return setting_groups(settings)
-
-
-def _of_poles(name: str) -> bool:
-    return _section(name).__module__ == poles.__name__
 
 
 def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -> list[Row]:
@@ -83,8 +83,10 @@ def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -
     return rows
 
 
-def _setting(path: tuple[str, ...], value: Any) -> Row:
-    return Row(".".join(path), label(path[-1]), quantity(path[-1], value), _about(path))
+def _setting(model: type[BaseModel], name: str, value: Any, key: str) -> Row:
+    field = model.model_fields.get(name)
+    about = "" if field is None else field.description or ""
+    return Row(key, label(name), quantity(name, value), about)
 
 
 def _ordered(model: type[BaseModel], content: dict[str, Any]) -> list[str]:
@@ -102,24 +104,9 @@ def _section(name: str) -> type[BaseModel]:
     return BaseModel
 
 
-def _title(name: str) -> str:
-    """Heading of a section."""
-    section = _section(name)
-    about = None if section is BaseModel else section.__doc__
-    return (about or label(name)).rstrip(".")
-
-
-def _about(path: tuple[str, ...]) -> str:
-    """Description of a setting ``(name,)`` or ``(section, name)``."""
-    model = Settings if len(path) == 1 else _section(path[0])
-    field = model.model_fields.get(path[-1])
-    return "" if field is None else field.description or ""
-
-
 # The table of physical effects: which were simulated, which were skipped, and why.
 
-_UNITS = {"deg": "°", "m2": " m²"}
-"""Units as people write them, where plain text has others."""
+_UNITS = {"deg": "°", "m2": " m²"}  # Units as people write them, where plain text has others
 
 
 def effect_rows(effects: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
@@ -141,14 +128,9 @@ def _row(name: str, about: dict[str, Any]) -> dict[str, Any]:
         "job": about["job"],
         "simulated": about["decision"] == "simulate",
         "quantity": quantity[:1].upper() + quantity[1:],
-        "value": f"{_figure(about['value'])}{unit}",
-        "threshold": f"{_figure(about['threshold'])}{unit}",
+        "value": f"{short(about['value'])}{unit}",
+        "threshold": f"{short(about['threshold'])}{unit}",
         "reason": about["reason"],
         "change": percent(about["expected_change"]),
         "seconds": seconds(about["expected_seconds"]),
     }
-
-
-def _figure(value: float) -> str:
-    """Three digits that count."""
-    return number(float(f"{value:.3g}"))

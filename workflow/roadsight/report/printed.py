@@ -30,23 +30,13 @@ from roadsight.report.printed_map import (
 )
 from roadsight.report.site.plan_view import best_plan, plan_views
 
+# Columns of the hazard table that paper has no room for; the page and hazard.csv have them
 _TOO_LONG = ("reasons", "route", "shielded")
-"""Columns of the hazard table that paper has no room for; the page and hazard.csv have them."""
-
-_WIDTH_MM = 164.0
-"""Width of a map: an A4 page less its margins and the coordinates beside the map."""
-
-_THUMBNAIL_MM = 95.0
-"""Height of the map on the first page."""
-
-_MAP_MM = 190.0
-"""Height of a map on a page of its own."""
-
-_PICTURES_SHOWN = 20
-"""Pictures of poles, the most dangerous first: a page."""
-
-_GAPS_SHOWN = 40
-"""Uncovered targets that are listed; all are in solution.json and on the map."""
+_WIDTH_MM = 164.0  # Width of a map: an A4 page less its margins and the coordinates beside the map
+_THUMBNAIL_MM = 95.0  # Height of the map on the first page
+_MAP_MM = 190.0  # Height of a map on a page of its own
+_PICTURES_SHOWN = 20  # Pictures of poles, the most dangerous first: a page
+_GAPS_SHOWN = 40  # Uncovered targets that are listed; all are in solution.json and on the map
 
 
 def paper_content(
@@ -66,13 +56,15 @@ def paper_content(
     about = next(given for given in (page, poles_page) if given is not None)
     pictures: dict[str, bytes] = {}
     frame = about["frame"]
+    cautions = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    cautions.sort(key=lambda caution: caution["level"] != "warning")
     content = {
         "title": about["title"] or about["summary"]["site"],
         "site": about["summary"]["site"],
         "crs": frame["crs_name"],
         "points": wording.counted(frame["points"], "point"),
         "cards": [list(card) for card in cards_of(page, poles_page)],
-        "cautions": _cautions(page, poles_page),
+        "cautions": [[caution["level"], caution["text"]] for caution in cautions],
         "plans": [],
         "compared": [],
         "columns": [],
@@ -100,12 +92,6 @@ def paper_content(
     return content, pictures
 
 
-def _cautions(*pages: dict[str, Any] | None) -> list[list[str]]:
-    found = [caution for page in pages if page for caution in page["cautions"]]
-    found.sort(key=lambda caution: caution["level"] != "warning")
-    return [[caution["level"], caution["text"]] for caution in found]
-
-
 def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[str, Any]) -> None:
     """Maps, plans and the still."""
     frame = Frame.from_dict(page["frame"])
@@ -119,8 +105,9 @@ def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[s
             _plan(view, page, times_seen(view, targets), pictures) for view in views
         ]
         priced, proven = is_priced(page), any("proven_share" in view for view in views)
-        content["compared"] = [_compared(view, priced, proven) for view in views]
-        content["columns"] = [title for title, is_shown in _columns(priced, proven) if is_shown]
+        compared = [_compared(view, priced, proven) for view in views]
+        content["compared"] = [list(row.values()) for row in compared]
+        content["columns"] = list(compared[0])
         content["map"], content["map_of"] = "map.svg", f"{best['title']}: targets seen"
         pictures["map.svg"] = plan_map(page, best, _WIDTH_MM, _THUMBNAIL_MM).encode()
         sensors = np.array([[s["x"], s["y"], s["z"]] for s in best["sensors"]]).reshape(-1, 3)
@@ -134,32 +121,19 @@ def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[s
         pictures["still.png"] = still(xyz_m, colours, sensors, feet)
 
 
-def _columns(priced: bool, proven: bool) -> list[tuple[str, bool]]:
-    """Titles of the table of plans, and whether each is shown."""
-    return [
-        ("Plan", True),
-        ("Sensors", True),
-        ("Cost", priced),
-        ("Result", True),
-        ("Pavement proven in sight", proven),
-        ("Lower bound", True),
-        ("Targets covered", True),
-    ]
-
-
-def _compared(view: dict[str, Any], priced: bool, proven: bool) -> list[str]:
-    """A row of the table of plans."""
-    cells = [
-        view["title"],
-        wording.number(len(view["sensors"])),
-        wording.number(view["objective"]),
-        _verdict(view),
-        wording.percent(view.get("proven_share")),
-        wording.MISSING if view["bound"] is None else wording.number(view["bound"]),
-        f"{wording.number(view['covered'])} of {wording.number(view['targets'])}",
-    ]
-    shown = [is_shown for _, is_shown in _columns(priced, proven)]
-    return [cell for cell, is_shown in zip(cells, shown, strict=True) if is_shown]
+def _compared(view: dict[str, Any], priced: bool, proven: bool) -> dict[str, str]:
+    """Row of the table of plans, by the titles of the columns."""
+    bound, share = view["bound"], wording.percent(view.get("proven_share"))
+    covered, targets = wording.number(view["covered"]), wording.number(view["targets"])
+    return {
+        "Plan": view["title"],
+        "Sensors": wording.number(len(view["sensors"])),
+        **({"Cost": wording.number(view["objective"])} if priced else {}),
+        "Result": _verdict(view),
+        **({"Pavement proven in sight": share} if proven else {}),
+        "Lower bound": wording.MISSING if bound is None else wording.number(bound),
+        "Targets covered": f"{covered} of {targets}",
+    }
 
 
 def _verdict(view: dict[str, Any]) -> str:
@@ -171,7 +145,6 @@ def _verdict(view: dict[str, Any]) -> str:
 def _plan(
     view: dict[str, Any], page: dict[str, Any], seen: NDArray, pictures: dict[str, bytes]
 ) -> dict[str, Any]:
-    """Map and tables of one plan."""
     name = f"map-{view['name']}.svg"
     pictures[name] = plan_map(page, view, _WIDTH_MM, _MAP_MM).encode()
     cost = f", cost {wording.number(view['objective'])}" if is_priced(page) else ""
@@ -200,7 +173,6 @@ def _plan(
 
 
 def _sensor(sensor: Mapping[str, Any]) -> list[str]:
-    """A row of the table of sensors."""
     degrees = sensor["lon_lat_deg"]
     pitch_deg, roll_deg = sensor.get("pitch_deg", 0.0), sensor.get("roll_deg", 0.0)
     turned = f", {wording.pose(pitch_deg, roll_deg)}" if pitch_deg or roll_deg else ""
@@ -220,7 +192,6 @@ def _sensor(sensor: Mapping[str, Any]) -> list[str]:
 def _add_poles(
     content: dict[str, Any], pictures: dict[str, bytes], poles_page: dict[str, Any]
 ) -> None:
-    """Map and tables of the poles."""
     view = poles_view(poles_page)
     frame = Frame.from_dict(poles_page["frame"])
     drawn = pole_map(poles_page, _WIDTH_MM, _MAP_MM)
@@ -240,22 +211,18 @@ def _add_poles(
         "pictures": [[f"pole-{n}.jpg", picture["id"]] for n, picture in enumerate(shown)],
         "pictures_left": len(view["pictures"]) - len(shown),
         "rows": [_pole(number, pole, frame) for number, pole in enumerate(view["poles"], start=1)],
-        "checked": None
-        if checked is None
-        else {"truth": checked["truth"], "rows": [list(row) for row in checked["rows"]]},
-        "thresholds": []
-        if checked is None
-        else [
+        "checked": checked
+        and {"truth": checked["truth"], "rows": [list(row) for row in checked["rows"]]},
+        "thresholds": [
             [
                 wording.metres(row["threshold_m"], 0),
                 *(wording.percent(row[key]) for key in ("precision", "recall", "f1")),
                 wording.MISSING if row["paper"] is None else wording.number(row["paper"], 2),
             ]
-            for row in checked["thresholds"]
+            for row in (checked or {}).get("thresholds", [])
         ],
-        "hazard": None
-        if hazard is None
-        else {
+        "hazard": hazard
+        and {
             "titles": [hazard["titles"][n] for n in printed],
             "rows": [[str(row["cells"][n]["text"]) for n in printed] for row in hazard["rows"]],
             "ratings": hazard["ratings"],
@@ -280,23 +247,14 @@ def _pole(number: int, pole: Mapping[str, Any], frame: Frame) -> list[str]:
 # A still of the 3D view: points of the cloud in perspective, nearer ones before farther ones.
 
 _WIDTH_PX = 1800
-
-_HEIGHT_PX = 900
-"""Size of the still: 180 mm on paper at 250 dots per inch."""
-
-_FIELD_DEG = 40.0
-"""Horizontal field of view, about that of a camera with a normal lens."""
-
+_HEIGHT_PX = 900  # Size of the still: 180 mm on paper at 250 dots per inch
+_FIELD_DEG = 40.0  # Horizontal field of view, about that of a camera with a normal lens
+# The eye looks down so steeply: lower, cars hide the road; higher, posts have no length
 _ELEVATION_DEG = 35.0
-"""The eye looks down so steeply: lower, cars hide the road; higher, posts have no length."""
-
+# Points are drawn this large, so that a sample of 150,000 closes a road of some hundred metres
 _POINT_M = 0.35
-"""Points are drawn this large, so that a sample of 150,000 closes a road of some hundred metres."""
-
 _LARGEST_PX = 7
-
-_BACKGROUND = (252, 250, 248)
-"""Almost white, blue first."""
+_BACKGROUND = (252, 250, 248)  # Almost white, blue first
 
 
 @dataclass(frozen=True)
@@ -351,7 +309,13 @@ def still(xyz_m: NDArray, colours: Bytes, sensors_m: NDArray, grounds_m: NDArray
     view = view_of(xyz_m)
     picture = np.full((_HEIGHT_PX, _WIDTH_PX, 3), _BACKGROUND, np.uint8)
     _paint(picture, view, xyz_m, colours[:, ::-1])
-    _masts(picture, view, sensors_m, grounds_m)
+    # Masts.
+    tops, _ = view.project(sensors_m)
+    feet, _ = view.project(grounds_m)
+    for top, foot in zip(np.rint(tops).astype(int), np.rint(feet).astype(int), strict=True):
+        cv2.line(picture, tuple(map(int, foot)), tuple(map(int, top)), (20, 20, 20), 2, cv2.LINE_AA)
+        cv2.circle(picture, tuple(map(int, top)), 9, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(picture, tuple(map(int, top)), 7, (38, 38, 220), -1, cv2.LINE_AA)
     return bytes(cv2.imencode(".png", picture)[1])
 
 
@@ -368,12 +332,3 @@ def _paint(picture: Bytes, view: View, xyz_m: NDArray, blue_first: Bytes) -> Non
     inside = (columns >= 0) & (columns < _WIDTH_PX) & (rows >= 0) & (rows < _HEIGHT_PX)
     order = np.flatnonzero(inside)[np.argsort(-depth[owners[inside]], kind="stable")]
     picture[rows[order], columns[order]] = blue_first[owners[order]]
-
-
-def _masts(picture: Bytes, view: View, sensors_m: NDArray, grounds_m: NDArray) -> None:
-    tops, _ = view.project(sensors_m)
-    feet, _ = view.project(grounds_m)
-    for top, foot in zip(np.rint(tops).astype(int), np.rint(feet).astype(int), strict=True):
-        cv2.line(picture, tuple(map(int, foot)), tuple(map(int, top)), (20, 20, 20), 2, cv2.LINE_AA)
-        cv2.circle(picture, tuple(map(int, top)), 9, (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(picture, tuple(map(int, top)), 7, (38, 38, 220), -1, cv2.LINE_AA)

@@ -18,30 +18,20 @@ from roadsight.report.packing import unpack, unpack_points
 from roadsight.report.poles.poles_layers import LEVELS
 from roadsight.report.site.layers import UNKNOWN_HEIGHT
 
+# Targets that no sensor, one, two, and three or more sensors see
 SEEN = ("#dc2626", "#93c5fd", "#3b82f6", "#1e3a8a")
-"""Targets that no sensor, one, two, and three or more sensors see."""
-
 SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
-
 SENSOR = "#b45309"
-
 _PAVEMENT = "#cbd5e1"
-
 _EDGE, _MEDIAN = "#0f172a", "#8a6d1f"
-
-_SKETCH_MM = (84.0, 46.0)
-"""Size of the sketch in units in which a sensor's mark is 4 wide."""
-
-_MARGIN_M = 5.0
-"""Air around what a map is of."""
-
+_SKETCH_MM = (84.0, 46.0)  # Size of the sketch in units in which a sensor's mark is 4 wide
+_MARGIN_M = 5.0  # Air around what a map is of
 _LOW = np.array([148, 163, 184])
-
+# Colours of points at the ground and 8 m above it, where the cloud has none of its own
 _HIGH = np.array([21, 94, 117])
-"""Colours of points at the ground and 8 m above it, where the cloud has none of its own."""
-
 _HIGH_M = 8.0
 
+# Pale colours of nothing, other, ground, vegetation, building, road and bridge
 _KINDS = np.array(
     [
         (248, 250, 252),
@@ -54,7 +44,6 @@ _KINDS = np.array(
     ],
     np.uint8,
 )
-"""Pale colours of nothing, other, ground, vegetation, building, road and bridge."""
 
 
 def times_seen(plan: dict[str, Any], targets: int) -> NDArray:
@@ -85,12 +74,11 @@ def plan_map(page: dict[str, Any], plan: dict[str, Any], width_mm: float, height
 def plan_sketch(page: dict[str, Any], plan: dict[str, Any]) -> str:
     """Small SVG for the head of a page: pavement, numbered sensors, targets that none sees."""
     layers = page["layers"]
-    rings = [[_ring(ring) for ring in polygon] for polygon in layers["pavement"]]
     targets = unpack(layers["targets"]["xyz"]).reshape(-1, 3).astype(np.float64)
     sensors = np.array([[s["x"], s["y"]] for s in plan["sensors"]]).reshape(-1, 2)
     drawing = Drawing(_around(np.vstack([targets[:, :2], sensors]), *_SKETCH_MM))
-    for polygon in rings:
-        drawing.areas(polygon, 'fill="var(--pavement)"')
+    for polygon in layers["pavement"]:
+        drawing.areas([_ring(ring) for ring in polygon], 'fill="var(--pavement)"')
     unseen = targets[times_seen(plan, len(targets)) == 0, :2]
     drawing.dots(unseen, 0.8, 'fill="var(--seen-0)"')
     drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
@@ -148,8 +136,8 @@ def _scene(page: dict[str, Any], xy_m: NDArray, width_mm: float, height_mm: floa
     pale = np.where(shade == 0, 255, 150 + np.rint(shade * (100 / 255))).astype(np.uint8)
     drawing.image(bytes(cv2.imencode(".png", pale)[1]), _bounds(relief))
     for polygon in page["layers"]["pavement"]:
-        rings = [_ring(ring) for ring in polygon]
-        drawing.areas(rings, f'fill="{_PAVEMENT}" stroke="#64748b" stroke-width="0.15"')
+        style = f'fill="{_PAVEMENT}" stroke="#64748b" stroke-width="0.15"'
+        drawing.areas([_ring(ring) for ring in polygon], style)
     return drawing
 
 
@@ -207,24 +195,15 @@ def _up(page: dict[str, Any]) -> str:
 
 # A sheet of map: local metres onto millimetres of paper, at one scale in both directions.
 
+# Denominators that scale rulers have; beyond the last, whole multiples of it
 SCALES = (100, 200, 250, 500, 750, 1000, 1250, 1500, 2000, 2500, 4000, 5000, 7500, 10_000)
-"""Denominators that scale rulers have; beyond the last, whole multiples of it."""
-
-_GRID_STEPS_M = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
-"""Steps of the coordinate ticks."""
-
+_GRID_STEPS_M = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # Steps of the coordinate ticks
+# Ticks are no closer on paper, so that six digits of a coordinate fit between them
 _TICK_EVERY_MM = 30.0
-"""Ticks are no closer on paper, so that six digits of a coordinate fit between them."""
-
-_BAR_SHARE = 0.3
-"""The scale bar is no longer than this share of the map's width."""
-
+_BAR_SHARE = 0.3  # The scale bar is no longer than this share of the map's width
+# Name of the pattern of hatched areas, and its colour
 HATCH, HATCH_COLOUR = "hatch", "#7c2d12"
-"""Name of the pattern of hatched areas, and its colour."""
-
-_MARKS_APART_MM = 3.4
-"""Numbered marks are 4 mm wide; nearer ones hide each other's numbers."""
-
+_MARKS_APART_MM = 3.4  # Numbered marks are 4 mm wide; nearer ones hide each other's numbers
 _FONT = "Libertinus Serif"
 
 
@@ -286,9 +265,8 @@ class Drawing:
     def image(self, png: bytes, bounds_m: Sequence[float]) -> None:
         """Lay a picture on its bounds (west, south, east, north, local metres)."""
         west, south, east, north = bounds_m
-        (left, top), (right, bottom) = self.paper.millimetres(
-            np.array([[west, north], [east, south]])
-        )
+        corners = np.array([[west, north], [east, south]])
+        (left, top), (right, bottom) = self.paper.millimetres(corners)
         data = base64.b64encode(png).decode("ascii")
         self.parts.append(
             f'<image x="{left:.3f}" y="{top:.3f}" width="{right - left:.3f}"'
@@ -356,12 +334,16 @@ class Drawing:
         origin : native coordinates of local (0, 0). unit_m : metres of a native unit.
         up : what lies there, N or the axis of a site without CRS.
         """
-        width, height = self.paper.width_mm, self.paper.height_mm
-        margin = 8.0
-        inner = "".join(self.parts)
+        width, height, margin = self.paper.width_mm, self.paper.height_mm, 8.0
         furniture = Drawing(self.paper)
         furniture._ticks(origin, unit_m)
-        furniture._upwards(up)
+        x = width - 6  # arrow to grid north, or along an axis
+        furniture.parts.append(
+            f'<path d="M{x:.2f} 3L{x + 2:.2f} 10L{x:.2f} 8.4L{x - 2:.2f} 10Z" fill="#0f172a"'
+            ' stroke="#ffffff" stroke-width="0.3"/>'
+        )
+        style = 'font-size="3" text-anchor="middle" fill="#0f172a" stroke="none"'
+        furniture.text(x, 13, up, style)
         furniture._bar()
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width + 2 * margin:.3f}mm"'
@@ -373,7 +355,7 @@ class Drawing:
             f' stroke="{HATCH_COLOUR}"'
             ' stroke-width="0.5"/></pattern></defs>'
             f'<rect width="{width:.3f}" height="{height:.3f}" fill="#f8fafc"/>'
-            f'<g clip-path="url(#c)">{inner}</g>'
+            f'<g clip-path="url(#c)">{"".join(self.parts)}</g>'
             f'<rect width="{width:.3f}" height="{height:.3f}" fill="none" stroke="#0f172a"'
             ' stroke-width="0.25"/>'
             f"{''.join(furniture.parts)}</svg>"
@@ -412,15 +394,10 @@ class Drawing:
         per_unit = unit_m * 1000 / self.paper.scale
         step = next((s for s in _GRID_STEPS_M if s * per_unit >= _TICK_EVERY_MM), _GRID_STEPS_M[-1])
         style = 'font-size="2.2" fill="#334155" text-anchor="middle"'
-        west, south = (
-            origin[0] + self.paper.west_m / unit_m,
-            origin[1] + self.paper.south_m / unit_m,
-        )
-        east, north = (
-            origin[0] + self.paper.east_m / unit_m,
-            origin[1] + self.paper.north_m / unit_m,
-        )
-        height = self.paper.height_mm
+        paper = self.paper
+        west, east = (origin[0] + x_m / unit_m for x_m in (paper.west_m, paper.east_m))
+        south, north = (origin[1] + y_m / unit_m for y_m in (paper.south_m, paper.north_m))
+        width, height = paper.width_mm, paper.height_mm
         for value in range(math.ceil(west / step) * step, math.floor(east) + 1, step):
             x = (value - west) * per_unit
             self._stroke(x, 0, x, -1.2)
@@ -429,19 +406,8 @@ class Drawing:
         for value in range(math.ceil(south / step) * step, math.floor(north) + 1, step):
             y = (north - value) * per_unit
             self._stroke(0, y, -1.2, y)
-            self._stroke(self.paper.width_mm, y, self.paper.width_mm + 1.2, y)
-            turned = f'{style} transform="rotate(-90 -2 {y:.2f})"'
-            self.text(-2, y, str(value), turned)
-
-    def _upwards(self, up: str) -> None:
-        """Arrow to grid north, or along an axis."""
-        x = self.paper.width_mm - 6
-        self.parts.append(
-            f'<path d="M{x:.2f} 3L{x + 2:.2f} 10L{x:.2f} 8.4L{x - 2:.2f} 10Z" fill="#0f172a"'
-            ' stroke="#ffffff" stroke-width="0.3"/>'
-        )
-        style = 'font-size="3" text-anchor="middle" fill="#0f172a" stroke="none"'
-        self.text(x, 13, up, style)
+            self._stroke(width, y, width + 1.2, y)
+            self.text(-2, y, str(value), f'{style} transform="rotate(-90 -2 {y:.2f})"')
 
     def _bar_m(self) -> int:
         """Round length of the scale bar."""
@@ -459,9 +425,8 @@ class Drawing:
                 f'<rect x="{number * part:.2f}" y="{y:.2f}" width="{part:.2f}" height="1.4"'
                 f' fill="{fill}" stroke="#0f172a" stroke-width="0.2"/>'
             )
-        style = 'font-size="2.4" fill="#0f172a"'
         label = f"{length} m, 1 : {self.paper.scale:,}"
-        self.text(4 * part + 1.5, y + 1.4, label, style)
+        self.text(4 * part + 1.5, y + 1.4, label, 'font-size="2.4" fill="#0f172a"')
 
     def _stroke(self, x0: float, y0: float, x1: float, y1: float) -> None:
         self.parts.append(

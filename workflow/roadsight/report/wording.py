@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_NARROW = "\u202f"
-"""Narrow space that does not break, between a number and its unit."""
-_TIMES = "\u00d7"
-"""Multiplication sign."""
-_MINUS = "\u2212"
-"""Minus sign, as wide as a plus."""
+MISSING = "\u2013"  # A dash where there is no value
+_NARROW = "\u202f"  # Narrow space that does not break, between a number and its unit
+_TIMES = "\u00d7"  # Multiplication sign
+_MINUS = "\u2212"  # Minus sign, as wide as a plus
+
+# Units as people write them, by the end of a value's name
 _UNITS = {
     "per_m2": "/m²",
     "per_s": "/s",
@@ -29,9 +29,9 @@ _UNITS = {
     "share": "%",
     "shares": "%",
 }
-"""Units as people write them, by the end of a value's name."""
+# Values that are shares though their names do not end so
 _SHARES = {"accuracy", "precision", "recall", "f1", "area_iou", "outline_found_within_1m"}
-"""Values that are shares though their names do not end so."""
+# Words of names that are not written in small letters, or not as they are said
 _SPELLING = {
     "aadt": "AADT",
     "f1": "F1",
@@ -46,7 +46,7 @@ _SPELLING = {
     "cpu": "CPU",
     "z": "z",
 }
-"""Words of names that are not written in small letters, or not as they are said."""
+# Values whose names tell too little
 _NAMES = {
     "area_iou": "Overlap of areas (IoU)",
     "area_m2": "Occupied area",
@@ -66,17 +66,15 @@ _NAMES = {
     "relief_m": "Relief, 5th to 95th percentile",
     "spacing_m": "Point spacing",
 }
-"""Values whose names tell too little."""
-MISSING = "\u2013"
-"""A dash where there is no value."""
 
 
 def label(key: str) -> str:
     """Name of a quantity from its key: ``pillar_width_m`` gives ``Pillar width``."""
     if key in _NAMES:
         return _NAMES[key]
-    words = [_SPELLING.get(word, word) for word in _without_unit(key).split("_")]
-    text = " ".join(words)
+    suffix = _suffix(key)
+    without_unit = key.removesuffix(f"_{suffix}") if suffix not in ("", "share") else key
+    text = " ".join(_SPELLING.get(word, word) for word in without_unit.split("_"))
     return text[:1].upper() + text[1:]
 
 
@@ -93,23 +91,16 @@ def quantity(key: str, value: Any, default_unit: str = "") -> str:
         return MISSING
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, dict | list | tuple):
-        return _several(key, value, default_unit) or MISSING
-    if not isinstance(value, int | float):
-        return str(value)
+    if isinstance(value, dict):  # one value after the other with their names
+        named = (f"{lower_first(label(k))} {quantity(k, v)}" for k, v in value.items())
+        return "; ".join(named) or MISSING
+    if isinstance(value, list | tuple):
+        between = f" {_TIMES} " if key.startswith("extent") else ", "
+        return between.join(quantity(key, part, default_unit) for part in value) or MISSING
     suffix = unit(key) or default_unit
-    if suffix == "%":
-        return percent(value)
+    if not isinstance(value, int | float) or suffix == "%":
+        return percent(value) if isinstance(value, int | float) else str(value)
     return number(value) + ("" if not suffix else suffix if suffix == "°" else f"{_NARROW}{suffix}")
-
-
-def _several(key: str, values: dict[str, Any] | list[Any] | tuple[Any, ...], unit_of: str) -> str:
-    """Values one after the other, those of a mapping with their names."""
-    if isinstance(values, dict):
-        named = (f"{lower_first(label(k))} {quantity(k, v)}" for k, v in values.items())
-        return "; ".join(named)
-    between = f" {_TIMES} " if key.startswith("extent") else ", "
-    return between.join(quantity(key, part, unit_of) for part in values)
 
 
 def pose(pitch_deg: float, roll_deg: float) -> str:
@@ -135,6 +126,11 @@ def number(value: float, decimals: int | None = None) -> str:
         text = f"{value:,.{max(0, 3 - size)}f}"
         return _signed(text.rstrip("0").rstrip(".") if "." in text else text)
     return _signed(f"{value:,.{decimals}f}")
+
+
+def short(value: float) -> str:
+    """Number of three significant digits."""
+    return number(float(f"{value:.3g}"))
 
 
 def percent(share: float | None) -> str:
@@ -187,11 +183,6 @@ def _suffix(key: str) -> str:
     """Longest ending of a key that is a unit and not the whole key."""
     endings = [ending for ending in _UNITS if key.endswith(f"_{ending}")]
     return max(endings, key=len, default="")
-
-
-def _without_unit(key: str) -> str:
-    suffix = _suffix(key)
-    return key.removesuffix(f"_{suffix}") if suffix not in ("", "share") else key
 
 
 def lower_first(text: str) -> str:

@@ -1,12 +1,10 @@
-"""The project and its sites."""
+"""What the pages call under /api/: routes on the project, its sites and its workflow."""
 
 from __future__ import annotations
 
-from pathlib import PurePath
 from typing import Any
 
 from flask import Blueprint, Response, request
-from pydantic import BaseModel, ConfigDict
 
 from roadsight import __version__
 from roadsight.io.cloud.tiles import stack_xyz
@@ -14,18 +12,21 @@ from roadsight.studio.cloud_tiles import REACH_M, Clouds, snap_to_cloud
 from roadsight.studio.drawing import (
     Drawing,
     Metre,
-    Shape,
     current_area,
     load_drawing,
     preview,
     save_drawing,
     terrain_of,
 )
-from roadsight.studio.drive_views import Drives, SiteDrive
+from roadsight.studio.drive_views import (
+    Drives,
+    SiteDrive,
+    lens_for,
+    picture_type,
+    without_distortion,
+)
 from roadsight.studio.evidence_pages import effects_of, frontiers
 from roadsight.studio.layout import Layouts, WhatIf
-from roadsight.studio.new_site import CloudBody, new_site
-from roadsight.studio.pictures import lens_for, without_distortion
 from roadsight.studio.plan_files import (
     TYPES,
     Export,
@@ -48,29 +49,19 @@ from roadsight.studio.registering import (
     save_correction,
     solve_pairs,
 )
-from roadsight.studio.requests import body, version
+from roadsight.studio.requests import Body, body, version
 from roadsight.studio.run_progress import Order
 from roadsight.studio.runs import Runs
-from roadsight.studio.site_files import saving, site_version
+from roadsight.studio.site_files import CloudBody, new_site, saving, site_version
 
 
 def site_routes(project: Project) -> Blueprint:
-    """Routes on the project."""
+    """Routes on the project, and on clouds of this machine that are no site yet."""
     routes = Blueprint("site", __name__)
 
     @routes.get("/project")
     def overview() -> dict[str, Any]:
         return project.overview() | {"version": __version__}
-
-    return routes
-
-
-# New sites from clouds on this machine.
-
-
-def clouds_routes(project: Project) -> Blueprint:
-    """Routes on clouds that are no site yet."""
-    routes = Blueprint("clouds", __name__)
 
     @routes.post("/clouds")
     def look() -> dict[str, Any]:
@@ -79,10 +70,7 @@ def clouds_routes(project: Project) -> Blueprint:
     return routes
 
 
-# The cloud, tile by tile.
-
-
-class Place(Shape):
+class Place(Body):
     """A place in plan, local metres."""
 
     x: Metre
@@ -111,9 +99,6 @@ def cloud_routes(project: Project) -> Blueprint:
         return {"place": found}
 
     return routes
-
-
-# What people draw: edges, zones, mounts, monitored area.
 
 
 def drawing_routes(project: Project) -> Blueprint:
@@ -147,9 +132,6 @@ def drawing_routes(project: Project) -> Blueprint:
     return routes
 
 
-# Plans of a site: written and taken away.
-
-
 def plans_routes(project: Project) -> Blueprint:
     """Routes on plans."""
     routes = Blueprint("plans", __name__)
@@ -168,11 +150,6 @@ def plans_routes(project: Project) -> Blueprint:
         return {"changed": remove_plan(project, stem, plan, version())}
 
     return routes
-
-
-# Images over the cloud: solved poses, registration by hand, baselines, corrections.
-
-_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
 
 
 def registration_routes(project: Project) -> Blueprint:
@@ -201,12 +178,11 @@ def registration_routes(project: Project) -> Blueprint:
     def picture(stem: str, number: int) -> Response:
         drive = drive_of(stem)
         row = drive.row(number)
-        suffix = PurePath(str(row["path"])).suffix.lower()
-        content, kind = drive.picture(number), _TYPES.get(suffix, "application/octet-stream")
+        content, kind = drive.picture(number), picture_type(str(row["path"]))
         key = str(row["route"]), int(row["width_px"]), int(row["height_px"])
         lens = lens_for(drive.site, key)
         if lens is not None:
-            content, kind = without_distortion(content, lens), _TYPES[".jpg"]
+            content, kind = without_distortion(content, lens), "image/jpeg"
         return Response(content, mimetype=kind)
 
     @routes.get("/sites/<stem>/images/<int:number>/points")
@@ -241,9 +217,6 @@ def registration_routes(project: Project) -> Blueprint:
             return save_baseline(project, drive_of(stem), images) | now(stem)
 
     return routes
-
-
-# Results of the two jobs: plans with what-if, and poles with decisions.
 
 
 def results_routes(project: Project) -> Blueprint:
@@ -288,13 +261,9 @@ def results_routes(project: Project) -> Blueprint:
     return routes
 
 
-# The workflow: what is stale, a run, and what it has told.
-
-
-class Stop(BaseModel):
+class Stop(Body):
     """How to stop."""
 
-    model_config = ConfigDict(extra="forbid")
     firmly: bool = False
 
 

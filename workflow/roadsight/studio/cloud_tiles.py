@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections import OrderedDict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,22 +14,18 @@ from scipy.ndimage import gaussian_filter
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import unit_name
-from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.tiles import CloudTiles, Points, Tile, stack_xyz
-from roadsight.io.raster.rasters import Raster, read_raster
+from roadsight.io.cloud.tiles import CloudTiles, Points, stack_xyz
+from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.tables import read_table
 from roadsight.studio.project import CLOUD, DEM, FRAME, GROUND, SiteFolder
 from roadsight.studio.site_files import OutdatedError
 
+# Percentile of intensity that is drawn white; a few points above it, such as those of signs, would
+# leave the road dark
 _BRIGHT_PERCENT = 98.0
-"""Percentile of intensity that is drawn white; a few points above it, such as those of signs, would
-leave the road dark."""
-
-_SAMPLED_TILES = 9
-"""Tiles, spread over the cloud, that this percentile is taken from."""
-
+_SAMPLED_TILES = 9  # Tiles, spread over the cloud, that this percentile is taken from
+# Read tiles that are kept, so that finer levels of a tile need not read it again
 _KEPT_BYTES = 256 << 20
-"""Read tiles that are kept, so that finer levels of a tile need not read it again."""
 
 
 class SiteCloud:
@@ -51,9 +46,17 @@ class SiteCloud:
         self._unit_m = frame.unit_m
         self._tiles = CloudTiles(site.file(CLOUD))
         self._starts = np.append(0, np.cumsum([tile.rows for tile in self._tiles.tiles]))
-        self._ground = _ground_labels(site.results / GROUND, self._tiles.points)
-        self._dem = _terrain(site.results / DEM, frame)
-        self._bright = self._brightest()
+        ground, dem = site.results / GROUND, site.results / DEM
+        self._ground: Bools | None = None
+        if ground.exists():
+            labels = read_table(ground, ["ground"])["ground"].to_numpy(bool)
+            self._ground = labels if len(labels) == self._tiles.points else None
+        self._dem = read_raster(dem, frame) if dem.exists() else None
+        # Intensity near the top of a few tiles spread over the cloud.
+        count = len(self._tiles.tiles)
+        chosen = np.unique(np.linspace(0, count - 1, min(_SAMPLED_TILES, count)).astype(int))
+        found = self._tiles.read(["intensity"], chosen.tolist())["intensity"]
+        self._bright = float(np.percentile(found, _BRIGHT_PERCENT)) if len(found) else 1.0
         self._kept: OrderedDict[int, list[bytes]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -94,7 +97,13 @@ class SiteCloud:
         with self._lock:
             if number not in self._kept:
                 self._kept[number] = self._levels(number)
-                self._forget()
+                # Tiles that were asked for longest ago go first.
+                while (
+                    len(self._kept) > 1
+                    and sum(len(level) for levels in self._kept.values() for level in levels)
+                    > _KEPT_BYTES
+                ):
+                    self._kept.popitem(last=False)
             self._kept.move_to_end(number)
             return self._kept[number][level]
 
@@ -104,59 +113,28 @@ class SiteCloud:
         with self._lock:
             return self._tiles.read_within(bounds, ("x", "y", "z", "intensity"))
 
-    def _forget(self) -> None:
-        """Drop the tiles that were asked for longest ago."""
-        while len(self._kept) > 1 and sum(map(_bytes, self._kept.values())) > _KEPT_BYTES:
-            self._kept.popitem(last=False)
-
     def _levels(self, number: int) -> list[bytes]:
         points = self._tiles.read(None, [number])
         xyz = stack_xyz(points)
         box = np.array(self._tiles.tiles[number].bounds_m)
+        if self._dem is None:  # above the tile's lowest point
+            height_m = xyz[:, 2].astype(np.float64) - box[2]
+        else:
+            height_m = xyz[:, 2] - self._dem.sample(xyz[:, 0], xyz[:, 1])
+        ground = np.zeros(len(xyz), bool)
+        if self._ground is not None:
+            ground = self._ground[self._starts[number] : self._starts[number + 1]]
         packed = pack_points(
             xyz,
             box[:3],
             box[3:],
-            self._heights(xyz, self._tiles.tiles[number]),
+            height_m,
             scaled_intensity(points["intensity"], self._bright),
             points["classification"],
-            self._labels(number, len(xyz)),
+            ground,
         )
         level = level_of_points(xyz)
         return [packed[level == wanted].tobytes() for wanted in range(LEVELS)]
-
-    def _heights(self, xyz_m: Floats32, tile: Tile) -> Floats:
-        """Heights above the terrain, or above the tile's lowest point where there is none."""
-        if self._dem is None:
-            return xyz_m[:, 2].astype(np.float64) - tile.bounds_m[2]
-        return xyz_m[:, 2] - self._dem.sample(xyz_m[:, 0], xyz_m[:, 1])
-
-    def _labels(self, number: int, points: int) -> Bools:
-        if self._ground is None:
-            return np.zeros(points, bool)
-        return self._ground[self._starts[number] : self._starts[number + 1]]
-
-    def _brightest(self) -> float:
-        """Intensity near the top of a few tiles spread over the cloud."""
-        count = len(self._tiles.tiles)
-        chosen = np.unique(np.linspace(0, count - 1, min(_SAMPLED_TILES, count)).astype(int))
-        found = self._tiles.read(["intensity"], chosen.tolist())["intensity"]
-        return float(np.percentile(found, _BRIGHT_PERCENT)) if len(found) else 1.0
-
-
-def _ground_labels(path: Path, points: int) -> Bools | None:
-    if not path.exists():
-        return None
-    labels = read_table(path, ["ground"])["ground"].to_numpy(bool)
-    return labels if len(labels) == points else None
-
-
-def _terrain(path: Path, frame: Frame) -> Raster | None:
-    return read_raster(path, frame) if path.exists() else None
-
-
-def _bytes(levels: list[bytes]) -> int:
-    return sum(map(len, levels))
 
 
 class Clouds:
@@ -173,7 +151,8 @@ class Clouds:
         ------
         InputError : as `SiteCloud`.
         """
-        state = tuple(_state(site.results / name) for name in (FRAME, CLOUD, GROUND, DEM))
+        paths = [site.results / name for name in (FRAME, CLOUD, GROUND, DEM)]
+        state = tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in paths)
         with self._lock:
             known = self._known.get(site.stem)
             if known is None or known[0] != state:
@@ -182,17 +161,13 @@ class Clouds:
             return self._known[site.stem][1]
 
 
-def _state(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.exists() else 0
-
-
 # Levels of detail of a cloud's tiles: each adds points between those of the coarser ones.
 
+# Edges of the cells of each level; the last level has all other points
 CELLS_M = (1.6, 0.8, 0.4, 0.2, 0.1)
-"""Edges of the cells of each level; the last level has all other points."""
-
 LEVELS = len(CELLS_M) + 1
 
+# A point as the browser gets it: position by its tile's box, height above ground
 RECORD = np.dtype(
     [
         ("xyz", "<u2", 3),
@@ -203,13 +178,9 @@ RECORD = np.dtype(
         ("free", "u1"),
     ]
 )
-"""A point as the browser gets it: position by its tile's box, height above ground."""
 
-_STEPS = 65535
-"""Steps of a coordinate within a tile's box: what 16 bits hold."""
-
-_HIGHEST_CM = 32767
-"""Heights above ground are centimetres in 16 bits with a sign."""
+_STEPS = 65535  # Steps of a coordinate within a tile's box: what 16 bits hold
+_HIGHEST_CM = 32767  # Heights above ground are centimetres in 16 bits with a sign
 
 
 def level_of_points(xyz_m: Floats32) -> Bytes:
@@ -277,32 +248,17 @@ def scaled_intensity(intensity: NDArray[np.uint16], brightest: float) -> Bytes:
 
 # Where the cloud shows an edge near a click: a step in height, or a change of brightness.
 
-REACH_M = 1.0
-"""Edges further from the click are not looked for."""
-
+REACH_M = 1.0  # Edges further from the click are not looked for
+# Points are taken from so far beyond the reach, so that slopes at its rim are right
 _MARGIN_M = 0.6
-"""Points are taken from so far beyond the reach, so that slopes at its rim are right."""
-
-_CELL_M = 0.1
-"""Cells that height and brightness are averaged over."""
-
-_BLUR_CELLS = 1.0
-"""Standard deviation of the blur, which bridges cells without points."""
-
-_STEP_M_PER_M = 0.12
-"""Steepness that counts as much as `_BRIGHT_PER_M`: 12 mm of height in a cell."""
-
+_CELL_M = 0.1  # Cells that height and brightness are averaged over
+_BLUR_CELLS = 1.0  # Standard deviation of the blur, which bridges cells without points
+_STEP_M_PER_M = 0.12  # Steepness that counts as much as `_BRIGHT_PER_M`: 12 mm of height in a cell
+# Change of brightness a metre, as a share of its spread: a sixth of it in a cell
 _BRIGHT_PER_M = 1.6
-"""Change of brightness a metre, as a share of its spread: a sixth of it in a cell."""
-
-_GROUND_M = 0.6
-"""Points higher above the lowest tenth are left out: cars, plants, poles."""
-
-_FEWEST = 60
-"""With fewer points around the click there is no edge to tell."""
-
-_LEAST_SCORE = 1.0
-"""Edges no steeper than the two steepnesses above do not stand out."""
+_GROUND_M = 0.6  # Points higher above the lowest tenth are left out: cars, plants, poles
+_FEWEST = 60  # With fewer points around the click there is no edge to tell
+_LEAST_SCORE = 1.0  # Edges no steeper than the two steepnesses above do not stand out
 
 
 def snap_to_cloud(
@@ -325,9 +281,12 @@ def snap_to_cloud(
     z = xyz_m[inside, 2].astype(np.float64)
     low = z < np.percentile(z, 10) + _GROUND_M
     offset, z, light = offset[inside][low], z[low], intensity[inside][low].astype(np.float64)
+    # Brightness by its spread between dark and bright; zero where it hardly differs.
+    dark, bright = np.percentile(light, [5, 95])
+    light = np.clip((light - dark) / max(bright - dark, 0.1 * abs(bright), 1e-9), 0.0, 1.0)
     score = np.hypot(
         _slope(offset, z - z.mean(), half) / _STEP_M_PER_M,
-        _slope(offset, _standard(light), half) / _BRIGHT_PER_M,
+        _slope(offset, light, half) / _BRIGHT_PER_M,
     )
     middle = (np.arange(score.shape[0]) + 0.5) * _CELL_M - half
     x, y = np.meshgrid(middle, middle, indexing="ij")
@@ -339,13 +298,6 @@ def snap_to_cloud(
     near = np.hypot(x - x[best], y - y[best]) < 2.5 * _CELL_M
     share = np.where(near, score**2, 0.0) / np.where(near, score**2, 0.0).sum()
     return float(xy_m[0] + (share * x).sum()), float(xy_m[1] + (share * y).sum())
-
-
-def _standard(values: Floats) -> Floats:
-    """Values by their spread between dark and bright; zero where they hardly differ."""
-    low, high = np.percentile(values, [5, 95])
-    spread = max(high - low, 0.1 * abs(high), 1e-9)
-    return np.clip((values - low) / spread, 0.0, 1.0)
 
 
 def _slope(offset_m: Floats, values: Floats, half_m: float) -> Floats:

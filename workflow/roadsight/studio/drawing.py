@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import geopandas as gpd
 import numpy as np
 import shapely
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from shapely import LineString, MultiPolygon, Polygon
 
 from roadsight.base.arrays import Floats
@@ -27,17 +27,12 @@ from roadsight.placement.candidates.candidates import positions_along
 from roadsight.placement.candidates.mounting import outside_zones, positions_on_poles
 from roadsight.scene.splines import FURTHEST_M, spline_line
 from roadsight.studio.project import DEM, Project, SiteFolder
-from roadsight.studio.requests import field_of
+from roadsight.studio.requests import Body, field_of
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
-_SECTION = "placement"
-
 LAYERS = ("edges", "zones", "mounts", "tma")
-
 _PAVEMENT = "scene/pavement.gpkg"
-
-_KNOT_M = 0.15
-"""A traced outline is drawn with as few knots as keep it within this distance."""
+_KNOT_M = 0.15  # A traced outline is drawn with as few knots as keep it within this distance
 
 
 def load_drawing(site: SiteFolder) -> dict[str, Any]:
@@ -47,11 +42,25 @@ def load_drawing(site: SiteFolder) -> dict[str, Any]:
     placement = site.resolved.site.placement
     zones = _layer(site, "zones", lambda path: read_polygons(path, frame))
     mounts = _layer(site, "mounts", lambda path: read_mounts(path, frame))
+    edges = []
+    if placement.edges == "sample":
+        edges = _drawn(read_lines(str(site.file("sample/edges.geojson")), frame, None))
+    elif placement.edges is not None:
+        path = site.resolved.layered(str(placement.edges))
+        edges = _drawn(read_lines(path, frame, placement.edges_crs))
     return {
         "version": site_version(site, "drawing"),
-        "edges": [] if placement.edges is None else _edges(site, frame),
+        "edges": edges,
         "zones": [] if zones is None else _zones(zones),
-        "mounts": [] if mounts is None else _mounts(mounts),
+        "mounts": [
+            {
+                "name": row.name,
+                "x": round(row.x, 4),
+                "y": round(row.y, 4),
+                "height_m": None if row.top_m != row.top_m else row.top_m,  # NaN: not known
+            }
+            for row in (() if mounts is None else mounts.itertuples(index=False))
+        ],
         "area": rings(current_area(site, frame), terrain),
         "own": {name: getattr(placement, name) is not None for name in LAYERS},
         "reference": _reference(site, frame, terrain),
@@ -94,15 +103,6 @@ def _layer(site: SiteFolder, name: str, read: Callable[[str], Any]) -> Any:
     return None if path is None else read(site.resolved.layered(path))
 
 
-def _edges(site: SiteFolder, frame: Frame) -> list[dict[str, Any]]:
-    placement = site.resolved.site.placement
-    if placement.edges == "sample":
-        path, crs = str(site.file("sample/edges.geojson")), None
-    else:
-        path, crs = site.resolved.layered(str(placement.edges)), placement.edges_crs
-    return _drawn(read_lines(path, frame, crs))
-
-
 def _drawn(lines: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
     return [
@@ -116,27 +116,12 @@ def _points(coordinates: Any) -> list[list[float]]:
 
 def _zones(zones: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     names = zones["name"] if "name" in zones else [f"zone{n + 1}" for n in range(len(zones))]
-    return [
-        {"name": str(name), "points": _points(area.exterior.coords[:-1])} | _holes(area)
-        for name, area in zip(names, zones.geometry, strict=True)
-    ]
-
-
-def _holes(area: Polygon) -> dict[str, Any]:
-    holes = [_points(ring.coords[:-1]) for ring in area.interiors]
-    return {"holes": holes} if holes else {}
-
-
-def _mounts(mounts: Any) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": row.name,
-            "x": round(row.x, 4),
-            "y": round(row.y, 4),
-            "height_m": None if row.top_m != row.top_m else row.top_m,
-        }
-        for row in mounts.itertuples(index=False)
-    ]
+    found: list[dict[str, Any]] = []
+    for name, area in zip(names, zones.geometry, strict=True):
+        found.append({"name": str(name), "points": _points(area.exterior.coords[:-1])})
+        if area.interiors:
+            found[-1]["holes"] = [_points(ring.coords[:-1]) for ring in area.interiors]
+    return found
 
 
 def _reference(site: SiteFolder, frame: Frame, terrain: Raster | None) -> dict[str, Any]:
@@ -171,23 +156,17 @@ def save_drawing(project: Project, stem: str, drawing: Drawing) -> list[str]:
     InputError : a shape is wrong, or the site file cannot be changed; nothing is written then.
     """
     with saving(project, stem, "drawing") as site:
-        return _save(project, site, drawing)
-
-
-def _save(project: Project, site: SiteFolder, drawing: Drawing) -> list[str]:
-    frame = site.frame()
-    layers = _layers(site, frame, drawing)
-    files: dict[str, Writer] = {
-        f"{name}.geojson": partial(write_geojson, features=layer, frame=frame)
-        for name, layer in layers.items()
-        if layer is not None
-    }
-    named = {
-        name: f"{name}.geojson" if layer is not None else None for name, layer in layers.items()
-    }
-    if "edges" in layers and site.resolved.site.placement.edges_crs is not None:
-        named["edges_crs"] = None
-    return save_beside(project, site, _SECTION, files, named)
+        frame = site.frame()
+        layers = _layers(site, frame, drawing)
+        named = {n: None if layer is None else f"{n}.geojson" for n, layer in layers.items()}
+        files: dict[str, Writer] = {
+            f"{name}.geojson": partial(write_geojson, features=layer, frame=frame)
+            for name, layer in layers.items()
+            if layer is not None
+        }
+        if "edges" in layers and site.resolved.site.placement.edges_crs is not None:
+            named["edges_crs"] = None
+        return save_beside(project, site, "placement", files, named)
 
 
 def _layers(site: SiteFolder, frame: Frame, drawing: Drawing) -> dict[str, gpd.GeoDataFrame | None]:
@@ -208,8 +187,6 @@ def _layers(site: SiteFolder, frame: Frame, drawing: Drawing) -> dict[str, gpd.G
 
 
 # What a drawing leads to, as the workflow would compute it: splines and candidate positions.
-
-LIFTED = ("edges", "zones", "mounts", "add", "remove")
 
 
 def preview(
@@ -232,7 +209,11 @@ def preview(
     problems: list[str] = []
     area = _tried(problems, lambda: monitored(drawing.tma, current)) if drawing.tma else None
     pavement = area or current
-    splines = _splines(drawing, problems)
+    splines: list[tuple[str, str, LineString]] = []
+    for edge in drawing.edges or []:
+        line = _tried(problems, lambda e=edge: spline_line(edge_line(e)))
+        if line is not None:
+            splines.append((edge.name, edge.kind, line))
     zones = [
         shape
         for zone in drawing.zones or []
@@ -240,7 +221,20 @@ def preview(
     ]
     mounts = _tried(problems, lambda: mount_points(drawing.mounts or []))
     xy, yaw = _positions(splines, mounts, pavement, spacing_m, arm_m)
-    problems += _far(splines, pavement)
+    if not pavement.is_empty:  # the workflow refuses such edges: told while they are drawn
+        problems += [
+            f"edge {name} is {distance:.0f} m from the monitored area; at most {FURTHEST_M:.0f} m"
+            for name, _, line in splines
+            if (distance := line.distance(pavement)) > FURTHEST_M
+        ]
+    tma = drawing.tma or MonitoredArea()
+    shapes = {
+        "edges": [edge.points for edge in drawing.edges or []],
+        "zones": [zone.points for zone in drawing.zones or []],
+        "mounts": [[(mount.x, mount.y)] for mount in drawing.mounts or []],
+        "add": tma.add,
+        "remove": tma.remove,
+    }
     return {
         "edges": [
             {"name": name, "length_m": line.length, "xyz": lifted(line, terrain)}
@@ -249,19 +243,13 @@ def preview(
         "positions": _flat(np.column_stack([xy, _heights(xy, terrain), yaw])),
         "forbidden": (~outside_zones(xy, zones)).astype(int).tolist(),
         "area": rings(area, terrain) if area is not None else None,
-        "lifted": {name: _lifted_points(name, drawing, terrain) for name in LIFTED},
+        "lifted": {
+            name: [_on_terrain(np.array(xy, np.float64).reshape(-1, 2), terrain) for xy in drawn]
+            for name, drawn in shapes.items()
+        },
         "area_m2": pavement.area,
         "problems": problems,
     }
-
-
-def _splines(drawing: Drawing, problems: list[str]) -> list[tuple[str, str, LineString]]:
-    found: list[tuple[str, str, LineString]] = []
-    for edge in drawing.edges or []:
-        line = _tried(problems, lambda e=edge: spline_line(edge_line(e)))
-        if line is not None:
-            found.append((edge.name, edge.kind, line))
-    return found
 
 
 def _positions(
@@ -284,17 +272,6 @@ def _positions(
     return table[:, :2], table[:, 2]
 
 
-def _far(splines: list[tuple[str, str, LineString]], pavement: MultiPolygon) -> list[str]:
-    """The workflow refuses edges that are far from the road: told while they are drawn."""
-    if pavement.is_empty:
-        return []
-    return [
-        f"edge {name} is {distance:.0f} m from the monitored area; at most {FURTHEST_M:.0f} m"
-        for name, _, line in splines
-        if (distance := line.distance(pavement)) > FURTHEST_M
-    ]
-
-
 def _tried(problems: list[str], make: Any) -> Any:
     try:
         return make()
@@ -309,24 +286,13 @@ def rings(area: shapely.Geometry, terrain: Raster | None) -> list[list[float]]:
     return [lifted(ring, terrain) for part in polygons for ring in (part.exterior, *part.interiors)]
 
 
-def _lifted_points(name: str, drawing: Drawing, terrain: Raster | None) -> list[list[float]]:
-    """Points of a layer's shapes as they are drawn, on the terrain."""
-    tma = drawing.tma or MonitoredArea()
-    shapes = {
-        "edges": [edge.points for edge in drawing.edges or []],
-        "zones": [zone.points for zone in drawing.zones or []],
-        "mounts": [[(mount.x, mount.y)] for mount in drawing.mounts or []],
-        "add": tma.add,
-        "remove": tma.remove,
-    }[name]
-    places = [np.array(points, np.float64).reshape(-1, 2) for points in shapes]
-    return [_flat(np.column_stack([xy, _heights(xy, terrain)])) for xy in places]
-
-
 def lifted(line: shapely.Geometry, terrain: Raster | None) -> list[float]:
     """Flat x, y, z of a line on the terrain."""
-    xy = shapely.get_coordinates(line)
-    return _flat(np.column_stack([xy, _heights(xy, terrain)]))
+    return _on_terrain(shapely.get_coordinates(line), terrain)
+
+
+def _on_terrain(xy_m: Floats, terrain: Raster | None) -> list[float]:
+    return _flat(np.column_stack([xy_m, _heights(xy_m, terrain)]))
 
 
 def _heights(xy_m: Floats, terrain: Raster | None) -> Floats:
@@ -341,28 +307,15 @@ def _flat(table: Floats) -> list[float]:
 
 # What people draw, as the page sends it: checked, and turned into shapes in local metres.
 
-_FURTHEST_M = 1e6
-"""Largest coordinate, local metres, that is taken from a page."""
-
-_MOST = 5000
-"""Points of a shape, and poles, that are taken from a page."""
-
+_FURTHEST_M = 1e6  # Largest coordinate, local metres, that is taken from a page
+_MOST = 5000  # Points of a shape, and poles, that are taken from a page
 Metre = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M, allow_inf_nan=False)]
-
 Point = tuple[Metre, Metre]
-
 Points = Annotated[list[Point], Field(max_length=_MOST)]
-
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 
-class Shape(BaseModel):
-    """Anything that is drawn."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Edge(Shape):
+class Edge(Body):
     """Points of a piecewise road edge."""
 
     name: Name
@@ -370,15 +323,15 @@ class Edge(Shape):
     points: Points
 
 
-class Area(Shape):
+class Area(Body):
     """A polygon; its holes are kept, not drawn."""
 
     name: Name
     points: Points
-    holes: Annotated[list[Points], Field(max_length=500)] = []
+    holes: list[Points] = Field(default=[], max_length=500)
 
 
-class Pole(Shape):
+class Pole(Body):
     """An existing pole that may carry a sensor."""
 
     name: Name
@@ -387,12 +340,12 @@ class Pole(Shape):
     height_m: Annotated[float, Field(gt=0, le=100, allow_inf_nan=False)] | None = None
 
 
-class MonitoredArea(Shape):
+class MonitoredArea(Body):
     """What is added to and removed from the monitored area, in this order."""
 
     base: Literal["current", "none", "found"] = "current"
-    add: Annotated[list[Points], Field(max_length=500)] = []
-    remove: Annotated[list[Points], Field(max_length=500)] = []
+    add: list[Points] = Field(default=[], max_length=500)
+    remove: list[Points] = Field(default=[], max_length=500)
 
     @property
     def changes(self) -> bool:
@@ -405,7 +358,7 @@ class MonitoredArea(Shape):
         return self.base != "found" or bool(self.add or self.remove)
 
 
-class Drawing(Shape):
+class Drawing(Body):
     """Layers that the page hands over; those that are absent stay as they are."""
 
     edges: Annotated[list[Edge], Field(max_length=500)] | None = None

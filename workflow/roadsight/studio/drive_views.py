@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePath
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.lens import RadialLens
 from roadsight.io.images.camera_tables import read_cameras
+from roadsight.io.images.exif import decoded_image
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
@@ -21,22 +26,15 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.pose import CX, Pose, Start, pose_of
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
-from roadsight.poles.drive.drive_lenses import Key
+from roadsight.poles.drive.drive_lenses import Key, lens_of, with_given
+from roadsight.poles.images.views import source_places, straightened
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
 POSE = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px")
-
+# Field of view that an image starts from where nothing is known of its camera
 _USUAL_HFOV_DEG = 60.0
-"""Field of view that an image starts from where nothing is known of its camera."""
-
 _FRAMES = "poles/frames.parquet"
-
-_ROAD = "poles/road_edges.parquet"
-
-_CALIBRATION = "poles/calibration.json"
-
-_TERRAIN = "poles/terrain.npz"
 
 
 class SiteDrive:
@@ -57,14 +55,15 @@ class SiteDrive:
         self.frames = read_table(site.file(_FRAMES))
         self.cameras = _cameras(site)
         self.corrections = read_corrections(site, self.frame)
-        self._expected = self._calibration()
-        self.places = {place.image: self._centred(place) for place in self.scene.places}
-        self._source: ImageSource | None = None
-
-    def _calibration(self) -> dict[Key, DriveCalibration]:
-        path = self.site.results / _CALIBRATION
+        path = site.results / "poles/calibration.json"
         drives = map(from_content, read_json(path)["drives"]) if path.exists() else ()
-        return {drive.key: drive for drive in drives}
+        self._expected = {drive.key: drive for drive in drives}
+        # Places with the principal point that their drive was found to have.
+        self.places: dict[str, Place] = {}
+        for place in self.scene.places:
+            cx_px = place.start.cx_px + self.shift_px(place)
+            self.places[place.image] = replace(place, start=replace(place.start, cx_px=cx_px))
+        self._source: ImageSource | None = None
 
     def _drive(self, start: Start, route: str) -> DriveCalibration | None:
         return self._expected.get((route, start.width_px, start.height_px))
@@ -73,11 +72,6 @@ class SiteDrive:
         """By how much a drive's principal point was found right of where it is expected."""
         drive = self._drive(place.start, place.route)
         return 0.0 if drive is None else float(drive.mount.mean[CX])
-
-    def _centred(self, place: Place) -> Place:
-        """The place with the principal point that its drive was found to have."""
-        start = place.start
-        return replace(place, start=replace(start, cx_px=start.cx_px + self.shift_px(place)))
 
     def row(self, number: int) -> pd.Series:
         """Row of an image by its place in the table of frames.
@@ -185,12 +179,12 @@ def _scene(site: SiteFolder) -> AlignmentScene:
     edges = sorted((site.results / "poles/image_edges").glob("*.parquet"))
     if not edges:
         site.file("poles/image_edges/0.parquet")
-    terrain = site.results / _TERRAIN
+    terrain = site.results / "poles/terrain.npz"
     asked = site.resolved.settings.alignment
     return read_scene(
         SceneFiles(
             site.file(_FRAMES),
-            site.file(_ROAD),
+            site.file("poles/road_edges.parquet"),
             site.file(FRAME),
             edges,
             Reach(**asked.model_dump(include=set(Reach.model_fields))),
@@ -238,3 +232,51 @@ class Drives:
             if self._known is None or self._known[0] != state:
                 self._known = state, SiteDrive(site)
             return self._known[1]
+
+
+# Images as the workflow looks at them: without the distortion of their lens, where it has any.
+
+
+_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
+
+
+def picture_type(path: str) -> str:
+    """Media type of an image by the name of its file."""
+    return _TYPES.get(PurePath(path).suffix.lower(), "application/octet-stream")
+
+
+def lens_for(site: SiteFolder, key: Key) -> RadialLens | None:
+    """Lens whose distortion the workflow takes out of a drive's images; None if it does not.
+
+    Parameters
+    ----------
+    key : route, width and height of the images.
+    """
+    drive, effects = site.results / "poles/drive.json", site.results / "effects.json"
+    if not (drive.exists() and effects.exists()):
+        return None
+    decided = {one["effect"]: one["decision"] for one in read_json(effects)}
+    if decided.get("lens_distortion") != "simulate":
+        return None
+    given = [lens.model_dump() for lens in site.resolved.site.poles.lenses]
+    lenses = with_given(read_json(drive)["lenses"], given)
+    return lens_of(lenses, key, (key[2], key[1]))
+
+
+def without_distortion(content: bytes, lens: RadialLens) -> bytes:
+    """An image's file as JPEG, as a pinhole camera would have taken it.
+
+    Raises
+    ------
+    InputError : it is no image.
+    """
+    image = decoded_image(content, cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError("is no image that can be read", where="picture")
+    turned = straightened(image, _places(lens, image.shape[1], image.shape[0]), smooth=True)
+    return cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+
+
+@lru_cache(maxsize=4)
+def _places(lens: RadialLens, width_px: int, height_px: int) -> Floats:
+    return source_places(lens, (width_px, height_px), (height_px, width_px))

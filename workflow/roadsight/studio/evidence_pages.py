@@ -12,6 +12,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.report.evidence.tradeoffs_page import measure_views
 from roadsight.studio.project import SiteFolder
 
+# Pages of the workflow by their path under results
 PAGES = {
     "report.html": "Report",
     "tradeoffs/index.html": "Accuracy and time",
@@ -19,13 +20,6 @@ PAGES = {
     "audit/index.html": "Effects audited",
     "bench/index.html": "Benchmarks",
 }
-"""Pages of the workflow by their path under results."""
-
-_EFFECTS = "effects.json"
-
-_TRADEOFFS = Path("tradeoffs/tradeoffs.csv")
-
-_KEYS = ["job", "knob"]
 
 _EFFECT_FIELDS = {"effect", "job", "decision", "quantity", "value", "unit", "threshold", "reason"}
 
@@ -37,7 +31,7 @@ def effects_of(site: SiteFolder) -> dict[str, Any]:
     ------
     InputError : the file is damaged.
     """
-    path = site.results / _EFFECTS
+    path = site.results / "effects.json"
     if not path.exists():
         return {"effects": []}
     content = read_json(path)
@@ -55,14 +49,14 @@ def frontiers(results: Path) -> dict[str, Any]:
     ------
     InputError : the table is damaged.
     """
-    path = results / _TRADEOFFS
+    path = results / "tradeoffs/tradeoffs.csv"
     if not path.exists():
         return {"studies": []}
     try:
         table = pd.read_csv(path)
-        groups = table.groupby(_KEYS, sort=False)
+        groups = table.groupby(["job", "knob"], sort=False)
         studies = [
-            {"job": job, "knob": knob, "views": measure_views(_rows(part))}
+            {"job": job, "knob": knob, "views": measure_views(part.to_dict("records"))}
             for (job, knob), part in groups
         ]
     except (ValueError, KeyError, TypeError, StopIteration) as error:
@@ -70,10 +64,6 @@ def frontiers(results: Path) -> dict[str, Any]:
             "is damaged", where=str(path), hint="delete it and run: snakemake tradeoffs"
         ) from error
     return {"studies": studies}
-
-
-def _rows(part: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(name): value for name, value in row.items()} for row in part.to_dict("records")]
 
 
 def pages(results: Path, address: str) -> list[dict[str, str]]:

@@ -12,10 +12,9 @@ from typing import Annotated, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
-from scipy import sparse
+from pydantic import Field
 
-from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Cover
 from roadsight.config.plans import FILES, Plan
@@ -29,9 +28,9 @@ from roadsight.placement.sight.detection import times_seen
 from roadsight.stages.placement.shared.cover_inputs import PlanFiles, read_asked
 from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 from roadsight.studio.project import FRAME, Project, SiteFolder
+from roadsight.studio.requests import Body
 
-_MOST_SENSORS = 5000
-"""Sensors of a layout that are taken from a page."""
+_MOST_SENSORS = 5000  # Sensors of a layout that are taken from a page
 
 _SUMMARY = (
     "status",
@@ -45,10 +44,9 @@ _SUMMARY = (
 )
 
 
-class WhatIf(BaseModel):
+class WhatIf(Body):
     """Sensors that stand: rows of the choices of a plan, as it was when the page read it."""
 
-    model_config = ConfigDict(extra="forbid")
     version: Annotated[str, Field(max_length=80)]
     rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=_MOST_SENSORS)]
 
@@ -62,7 +60,9 @@ class Layout:
 
     Attributes
     ----------
-    choices, places, matrix, chosen : as `PlanChoices`, and where the choices stand and look.
+    choices : (n,) as `choices_of`, with their whole cost. places : where they stand and look.
+    matrix : which of them sees which target (n, targets). chosen : (k,) those of the solution.
+    exclusive : (sets, n), at most one of each set stands.
     needed : (targets,) sensors that each needs. notes : what is not counted, in sentences.
 
     Raises
@@ -78,21 +78,38 @@ class Layout:
         self.targets = read_table(self.files["targets"])
         kinds, asked = load_sensors(sensors_file), site.resolved.plans[plan]
         self.costs = {name: kinds[name].cost for name in asked.sensors}
-        found = choices_to_try(site, plan, self.files, self.costs, self.solution, self.targets)
-        self.choices, self.matrix, self.chosen = found.choices, found.matrix, found.chosen
-        self.places = posed_candidates(self.choices, found.candidates)
-        self.needed = self._needed()
-        self.notes = _not_counted(asked)
-        self._found = found
-
-    def _needed(self) -> Ints:
-        """How many sensors each target needs (n,): the plan's, or its areas' own number."""
+        self._read_choices(site, plan)
+        # Sensors that each target needs: the plan's number, or its areas' own.
         needed = pd.Series(int(self.solution["at_least"]), index=self.targets["target"])
         if self.solution.get("options") and self.files["layers"].exists():
             layer = read_layer(self.files["layers"], "targets", self.frame)
             own = layer.set_index("target")["needed"]
             needed.update(own[own > 0])
-        return np.asarray(needed, np.int64)
+        self.needed = np.asarray(needed, np.int64)
+        self.notes = _not_counted(asked)
+
+    def _read_choices(self, site: SiteFolder, plan: str) -> None:
+        """What could stand instead of the plan's sensors, by the solver's own functions.
+
+        Forbidden are the places of zones, of the rules of mounting and of the plan; of the last,
+        the ones where its sensors stand stay.
+        """
+        given = _given(site, plan, site.resolved.plans[plan], self.files)
+        costs = [f"{name}={cost!r}" for name, cost in self.costs.items()]
+        found = read_choices(given, costs, self.frame)
+        matrix = found.matrix(self.targets["target"])
+        where = f"site {site.stem}, plan {plan}"
+        asked = read_asked(given, self.frame) or Asked({}, 1, where, exclude=True)
+        posed = pose(asked, matrix, found.choices, found.candidates, self.targets).deployment
+        chosen = _chosen(found.choices, self.solution, str(self.files["solution"]))
+        free = ~posed.problem.forbidden
+        free[chosen] = True
+        kept = np.flatnonzero(free)
+        self.choices = found.choices.assign(cost=posed.problem.costs).iloc[kept]
+        self.choices = self.choices.reset_index(drop=True)
+        self.places = posed_candidates(self.choices, found.candidates)
+        self.matrix, self.exclusive = matrix[kept], posed.exclusive[:, kept]
+        self.chosen: Ints = np.searchsorted(kept, chosen)
 
     def about(self) -> dict[str, Any]:
         """Everything that the page draws."""
@@ -140,7 +157,18 @@ class Layout:
         ------
         InputError : no such choices, or two that exclude each other.
         """
-        self._check(rows)
+        if len(rows) and rows.max() >= len(self.choices):
+            raise InputError("no such candidate", where="studio", found=int(rows.max()))
+        position = self.choices["position"].to_numpy()[rows]
+        if len(np.unique(position)) < len(position):
+            raise InputError("two sensors at one position", where="studio")
+        inside = np.bincount(rows, minlength=len(self.choices))
+        if (self.exclusive @ inside > 1).any():
+            raise InputError(
+                "two sensors stand nearer to each other than the plan's spacing_m",
+                where="studio",
+                hint="move one of them",
+            )
         return self._counted(rows)
 
     def _counted(self, rows: Ints) -> dict[str, Any]:
@@ -149,7 +177,15 @@ class Layout:
         before = times_seen(self.matrix, self.chosen) >= self.needed
         critical = covered & (times == self.needed)
         only = np.asarray(self.matrix[rows][:, critical].sum(axis=1)).ravel()
-        best, gain = self._next(rows, covered)
+        # Free choice that sees most uncovered targets; the cheaper, then the first, of equals.
+        gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
+        inside = np.zeros(len(self.choices), np.int32)
+        inside[rows] = 1
+        beside = np.asarray(self.exclusive.T @ (self.exclusive @ inside)).ravel()
+        gain[(inside > 0) | (beside > 0)] = 0
+        cost = self.choices["cost"].to_numpy(np.float64)
+        best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
+        helps = len(gain) > 0 and gain[best] > 0
         return {
             "times": times.tolist(),
             "needs": np.maximum(self.needed - times, 0).tolist(),
@@ -158,30 +194,9 @@ class Layout:
             "gained": int((covered & ~before).sum()),
             "only": only.tolist(),
             "cost": float(self.choices["cost"].to_numpy()[rows].sum()),
-            "next": best,
-            "next_covers": gain,
+            "next": best if helps else None,
+            "next_covers": int(gain[best]) if helps else 0,
         }
-
-    def _check(self, rows: Ints) -> None:
-        if len(rows) and rows.max() >= len(self.choices):
-            raise InputError("no such candidate", where="studio", found=int(rows.max()))
-        position = self.choices["position"].to_numpy()[rows]
-        if len(np.unique(position)) < len(position):
-            raise InputError("two sensors at one position", where="studio")
-        if self._found.are_crowded(rows):
-            raise InputError(
-                "two sensors stand nearer to each other than the plan's spacing_m",
-                where="studio",
-                hint="move one of them",
-            )
-
-    def _next(self, rows: Ints, covered: Bools) -> tuple[int | None, int]:
-        """Free choice that sees most uncovered targets; the cheaper, then the first, of equals."""
-        gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
-        gain[self._found.excluded(rows)] = 0
-        cost = self.choices["cost"].to_numpy(np.float64)
-        best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
-        return (best, int(gain[best])) if len(gain) and gain[best] > 0 else (None, 0)
 
     def _obstacles(self) -> dict[str, Any]:
         """What stands in the way of the plan's sensors, and why targets are not covered."""
@@ -287,43 +302,11 @@ def _flat(table: Floats) -> list[float]:
     return np.round(table, 3).ravel().tolist()
 
 
-# What a plan may choose, as the solver reads it: places, costs, and what excludes what.
+# Files of a plan, and what of them the solver reads.
 
-_TARGETS = "placement/targets.parquet"
-
+# Options of a plan that say where a sensor may stand and what it costs there; the others say what
+# is to be seen, and a what-if is free of those
 _WHERE_AND_COST = ("forbidden", "poles", "spacing_m")
-"""Options of a plan that say where a sensor may stand and what it costs there; the others say what
-is to be seen, and a what-if is free of those."""
-
-
-@dataclass(frozen=True)
-class PlanChoices:
-    """Choices of a plan.
-
-    Parameters
-    ----------
-    candidates : those that may carry a sensor. choices : (n,) as `choices_of`, with their whole
-        cost. matrix : which of them sees which target (n, targets).
-    chosen : (k,) those of the solution. exclusive : (sets, n), at most one of each set stands.
-    """
-
-    candidates: pd.DataFrame
-    choices: pd.DataFrame
-    matrix: sparse.csr_matrix
-    chosen: Ints
-    exclusive: sparse.csr_matrix
-
-    def excluded(self, rows: Ints) -> Bools:
-        """Choices (n,) that cannot stand beside some, these among them."""
-        inside = np.zeros(len(self.choices), np.int32)
-        inside[rows] = 1
-        together = np.asarray(self.exclusive.T @ (self.exclusive @ inside)).ravel() > 0
-        return together | (inside > 0)
-
-    def are_crowded(self, rows: Ints) -> bool:
-        """Whether two of them cannot stand together."""
-        inside = np.bincount(rows, minlength=len(self.choices))
-        return bool((self.exclusive @ inside > 1).any())
 
 
 def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path]:
@@ -336,7 +319,11 @@ def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path
     if plan not in site.resolved.plans:
         raise InputError("no such plan", where=f"site {site.stem}", found=plan)
     settings, folder = site.resolved.settings, f"placement/{plan}"
-    names = {"solution": f"{folder}/solution.json", "targets": _TARGETS, "frame": FRAME}
+    names = {
+        "solution": f"{folder}/solution.json",
+        "targets": "placement/targets.parquet",
+        "frame": FRAME,
+    }
     for number in range(settings.coverage.rounds + 1):
         names[f"round {number}"] = f"placement/round-{number}/candidates.parquet"
         shards = settings.coverage.shards if number else settings.shards
@@ -347,19 +334,17 @@ def plan_files(site: SiteFolder, plan: str, sensors_file: str) -> dict[str, Path
     found = {short: site.file(name) for short, name in names.items()}
     own = {"obstacles": "obstacles.gpkg", "layers": "solution.gpkg"}
     found |= {short: site.results / folder / name for short, name in own.items()}
-    return found | {"sensors": Path(sensors_file)} | _maps(site, plan)
-
-
-def _maps(site: SiteFolder, plan: str) -> dict[str, Path]:
-    """Files of the user that decide where sensors of the plan may stand."""
-    placement, options = site.resolved.site.placement, site.resolved.plans[plan]
-    found = {name: site.resolved.beside(getattr(placement, name)) for name in ("zones", "cabinets")}
-    found |= {name: _without_layer(options.file_of(name)) for name in FILES}
-    return {name: Path(path) for name, path in found.items() if path is not None}
-
-
-def _without_layer(path: str | None) -> str | None:
-    return None if path is None else split_layer(path)[0]
+    found["sensors"] = Path(sensors_file)
+    # Files of the user that decide where sensors of the plan may stand.
+    for name in ("zones", "cabinets"):
+        path = site.resolved.beside(getattr(site.resolved.site.placement, name))
+        if path is not None:
+            found[name] = Path(path)
+    for name in FILES:
+        path = site.resolved.plans[plan].file_of(name)
+        if path is not None:
+            found[name] = Path(split_layer(path)[0])
+    return found
 
 
 def state_of(site: SiteFolder, plan: str, files: dict[str, Path]) -> str:
@@ -374,48 +359,6 @@ def state_of(site: SiteFolder, plan: str, files: dict[str, Path]) -> str:
         site.resolved.settings.mounting.model_dump_json(),
     )
     return hashlib.sha256(json.dumps([states, asked]).encode()).hexdigest()[:16]
-
-
-def choices_to_try(
-    site: SiteFolder,
-    name: str,
-    files: dict[str, Path],
-    costs: dict[str, float],
-    solution: dict[str, Any],
-    targets: pd.DataFrame,
-) -> PlanChoices:
-    """What could stand instead of a plan's sensors: read and priced by the solver's own functions.
-
-    Forbidden are the places of zones, of the rules of mounting and of the plan; of the last, the
-    ones where its sensors stand stay.
-
-    Parameters
-    ----------
-    name : of the plan. files : as `plan_files`. costs : of each of its sensors.
-
-    Raises
-    ------
-    InputError : as the solver; or a sensor of the solution is no choice any more.
-    """
-    plan, frame = site.resolved.plans[name], site.frame()
-    where = f"site {site.stem}, plan {name}"
-    given = _given(site, name, plan, files)
-    found = read_choices(given, [f"{name}={cost!r}" for name, cost in costs.items()], frame)
-    matrix = found.matrix(targets["target"])
-    asked = read_asked(given, frame) or Asked({}, 1, where, exclude=True)
-    posed = pose(asked, matrix, found.choices, found.candidates, targets).deployment
-    chosen = _chosen(found.choices, solution, str(files["solution"]))
-    free = ~posed.problem.forbidden
-    free[chosen] = True
-    kept = np.flatnonzero(free)
-    choices = found.choices.assign(cost=posed.problem.costs).iloc[kept].reset_index(drop=True)
-    return PlanChoices(
-        found.candidates,
-        choices,
-        matrix[kept],
-        np.searchsorted(kept, chosen),
-        posed.exclusive[:, kept],
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import tempfile
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ import numpy as np
 import pandas as pd
 import shapely
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from roadsight.base.errors import InputError
 from roadsight.base.section import Count, Name
@@ -24,23 +23,42 @@ from roadsight.io.vector.vectors import read_polygons, write_geojson
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.studio.layout import Layout, WhatIf
 from roadsight.studio.project import Project, SiteFolder
-from roadsight.studio.requests import field_of
-from roadsight.studio.site_files import Writer, saving, site_version, with_value, write_site
+from roadsight.studio.requests import Body, field_of
+from roadsight.studio.site_files import (
+    Writer,
+    saving,
+    site_version,
+    with_value,
+    write_site,
+    write_table,
+)
 
 _SECTION, _KEY = "placement", "own_plans"
-
+# Files of places that the studio writes, named after their plan
 _PLACES = {"mandatory": "mandatory.csv", "forbidden": "forbidden.geojson"}
-"""Files of places that the studio writes, named after their plan."""
-
+# What a plan may have beside options
 _ANY_PLAN = set(Plan.model_fields) - set(PlanOptions.model_fields)
-"""What a plan may have beside options."""
 
 
 def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
     """Sensors that plans may use, and the plans of a site as the editor shows them."""
     kinds = load_sensors(project.config().sensors_file)
     own = site.resolved.site.placement.own_plans
-    plans = site.resolved.plans | own
+    described = []
+    for name, plan in (site.resolved.plans | own).items():
+        goal, amount = _goal(plan)
+        described.append(
+            {
+                "name": name,
+                "title": plan.title,
+                "sensors": plan.sensors,
+                "at_least": plan.at_least,
+                "goal": goal,
+                "amount": amount,
+                **{option: plan.file_of(option) is not None for option in _PLACES},
+                "own": name in own,
+            }
+        )
     return {
         "version": site_version(site, "plans"),
         "sensors": [{"name": name, "cost": kind.cost} for name, kind in kinds.items()],
@@ -52,20 +70,7 @@ def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
             "cost": field_of(Budget, "cost"),
             "price": field_of(PlanOptions, "price"),
         },
-        "plans": [_described(name, plan) | {"own": name in own} for name, plan in plans.items()],
-    }
-
-
-def _described(name: str, plan: Plan) -> dict[str, Any]:
-    goal, amount = _goal(plan)
-    return {
-        "name": name,
-        "title": plan.title,
-        "sensors": plan.sensors,
-        "at_least": plan.at_least,
-        "goal": goal,
-        "amount": amount,
-        **{option: plan.file_of(option) is not None for option in _PLACES},
+        "plans": described,
     }
 
 
@@ -100,9 +105,18 @@ def save_plan(
     """
     with saving(project, stem, "plans", version) as site:
         before = site.resolved.site.placement.own_plans.get(name)
-        _check_name(project, name, before is not None and not body.replace)
+        config, is_taken = project.config(), before is not None and not body.replace
+        if is_taken or name in load_plans(config.plans_file, config.sensors_file):
+            raise InputError(
+                "is the name of a plan already", where="plan", found=name, hint="choose another one"
+            )
         _check_places(body.mandatory or [], body.sensors)
-        files = _writers(site, body)
+        files: dict[str, Writer] = {}  # how to write the places that are given
+        if body.mandatory:
+            files["mandatory"] = partial(write_standing, places=body.mandatory)
+        if body.forbidden:
+            squares = _barred_squares(site, body.base, body.forbidden)
+            files["forbidden"] = partial(write_geojson, features=squares, frame=site.frame())
         named = {part: f"{stem}/{name}.{_PLACES[part]}" for part in files}
         value, dropped = plan_value(site, body, named)
         if before is not None and before.on_request:
@@ -141,14 +155,6 @@ def _file(site: SiteFolder, name: str, part: str) -> str | None:
     return site.resolved.beside(plan.file_of(part)) if plan else None
 
 
-def _check_name(project: Project, name: str, is_taken: bool) -> None:
-    config = project.config()
-    if is_taken or name in load_plans(config.plans_file, config.sensors_file):
-        raise InputError(
-            "is the name of a plan already", where="plan", found=name, hint="choose another one"
-        )
-
-
 def _check_places(places: Sequence[Standing], sensors: Sequence[str]) -> None:
     for number, place in enumerate(places, start=1):
         if place.kind not in sensors and (place.kind or len(sensors) > 1):
@@ -168,53 +174,38 @@ def _check_places(places: Sequence[Standing], sensors: Sequence[str]) -> None:
         )
 
 
-def _writers(site: SiteFolder, body: PlanBody) -> dict[str, Writer]:
-    """How to write the places that are given."""
-    files: dict[str, Writer] = {}
-    if body.mandatory:
-        files["mandatory"] = partial(write_standing, places=body.mandatory)
-    if body.forbidden:
-        frame = site.frame()
-        native = [[spot.x, spot.y, frame.origin[2]] for spot in body.forbidden]
-        middles = frame.to_local(native)[:, :2]
-        squares = _with_those_of(site, body.base, _squares(middles.tolist(), body.forbidden))
-        files["forbidden"] = partial(write_geojson, features=squares, frame=frame)
-    return files
-
-
-def _with_those_of(
-    site: SiteFolder, base: str | None, squares: gpd.GeoDataFrame
+def _barred_squares(
+    site: SiteFolder, base: str | None, spots: Sequence[Barred]
 ) -> gpd.GeoDataFrame:
-    """Squares and the polygons that the base forbids already."""
+    """Squares around spots, and the polygons that the base forbids already."""
+    frame = site.frame()
+    middles = frame.to_local([[spot.x, spot.y, frame.origin[2]] for spot in spots])[:, :2]
+    boxes = [
+        shapely.box(x - spot.half_m, y - spot.half_m, x + spot.half_m, y + spot.half_m)
+        for (x, y), spot in zip(middles.tolist(), spots, strict=True)
+    ]
+    names = [f"left{number + 1}" for number in range(len(boxes))]
+    squares = gpd.GeoDataFrame({"name": names}, geometry=boxes)
     own = site.resolved.site.placement.own_plans
     plan = own.get(base or "") or site.resolved.plans.get(base or "")
     if plan is None or plan.forbidden is None:
         return squares
     file = plan.forbidden.file
     path = site.resolved.layered(file) if base in own else file
-    before = read_polygons(path, site.frame(), plan.forbidden.crs)
+    before = read_polygons(path, frame, plan.forbidden.crs)
     names = [f"before{number + 1}" for number in range(len(before))]
     kept = gpd.GeoDataFrame({"name": names}, geometry=before.geometry.to_numpy())
     return pd.concat([kept, squares], ignore_index=True)
 
 
-def _squares(middles: list[list[float]], spots: Sequence[Barred]) -> gpd.GeoDataFrame:
-    boxes = [
-        shapely.box(x - spot.half_m, y - spot.half_m, x + spot.half_m, y + spot.half_m)
-        for (x, y), spot in zip(middles, spots, strict=True)
-    ]
-    return gpd.GeoDataFrame({"name": [f"left{n + 1}" for n in range(len(boxes))]}, geometry=boxes)
-
-
 def write_standing(path: Path, places: Sequence[Standing]) -> None:
     """Places of sensors as a table that a plan's ``mandatory`` reads."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(["id", "kind", "x", "y", "height_m", "candidate"])
-        for number, place in enumerate(places, start=1):
-            height = "" if place.height_m is None else f"{place.height_m:g}"
-            at = (f"{place.x:.3f}", f"{place.y:.3f}", height)
-            rows.writerow([f"s{number}", place.kind, *at, place.candidate])
+    rows = [["id", "kind", "x", "y", "height_m", "candidate"]]
+    for number, place in enumerate(places, start=1):
+        height = "" if place.height_m is None else f"{place.height_m:g}"
+        at = (f"{place.x:.3f}", f"{place.y:.3f}", height)
+        rows.append([f"s{number}", place.kind, *at, place.candidate])
+    write_table(path, rows)
 
 
 def plan_value(
@@ -275,13 +266,10 @@ def _further(site: SiteFolder, body: PlanBody) -> dict[str, Any]:
         plan = site.resolved.plans[body.base].located(lambda path: os.path.relpath(path, folder))
     shown = {"title", "sensors", "at_least", "budget", "price", "on_request"}
     options = plan.model_dump(exclude=shown, exclude_defaults=True)
-    return {name: _defined(option) for name, option in options.items()}
-
-
-def _defined(option: Any) -> Any:
-    return (
-        {k: v for k, v in option.items() if v is not None} if isinstance(option, dict) else option
-    )
+    for name, option in options.items():
+        if isinstance(option, dict):
+            options[name] = {key: value for key, value in option.items() if value is not None}
+    return options
 
 
 def remove_plan(project: Project, stem: str, name: str, version: str | None = None) -> list[str]:
@@ -307,19 +295,12 @@ def remove_plan(project: Project, stem: str, name: str, version: str | None = No
 
 # A plan as the page sends it.
 
-_MOST = 5000
-"""Places of a plan that are taken from a page."""
-
+_MOST = 5000  # Places of a plan that are taken from a page
 _Native = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
-
 _Text = Annotated[str, Field(max_length=200)]
 
 
-class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Standing(_Body):
+class Standing(Body):
     """A place where a sensor stands for certain: x, y in the site's CRS and units.
 
     Parameters
@@ -335,7 +316,7 @@ class Standing(_Body):
     candidate: _Text = ""
 
 
-class Barred(_Body):
+class Barred(Body):
     """A square in which no sensor stands: its middle in the site's CRS and units, half its side."""
 
     x: _Native
@@ -343,7 +324,7 @@ class Barred(_Body):
     half_m: Annotated[float, Field(gt=0, le=1e5)]
 
 
-class PlanBody(_Body):
+class PlanBody(Body):
     """A plan that is to be saved.
 
     Parameters

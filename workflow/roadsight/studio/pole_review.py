@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,17 +18,15 @@ from roadsight.io.records.sighting_tables import COLUMNS, read_decisions, write_
 from roadsight.io.records.tables import read_table
 from roadsight.poles.triangulate.site import nearest_poles
 from roadsight.report.poles.poles_layers import finite, match_sightings
-from roadsight.studio.drawing import Metre, Shape
-from roadsight.studio.drive_views import images_of
+from roadsight.studio.drawing import Metre
+from roadsight.studio.drive_views import images_of, picture_type
 from roadsight.studio.project import Project, SiteFolder
+from roadsight.studio.requests import Body
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
 _POLES = "poles/poles.parquet"
-
 _FRAMES = "poles/frames.parquet"
-
 _HAZARD = "poles/hazard.parquet"
-
 _FILE = "pole_decisions.csv"
 
 _SHOWN = (
@@ -46,18 +44,12 @@ _SHOWN = (
 )
 
 _SEEN = ("image", "view", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "x", "y")
-
 _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")
-
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
-
-_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
-
-_SAME_M = 0.01
-"""A decision and a pole so close belong together; files round places more finely."""
+_SAME_M = 0.01  # A decision and a pole so close belong together; files round places more finely
 
 
-class Decision(Shape):
+class Decision(Body):
     """What a person decided on one pole, in local metres."""
 
     decision: Literal["accept", "reject", "move"]
@@ -69,7 +61,7 @@ class Decision(Shape):
     pole: Annotated[str, Field(pattern=r"^[\w.-]{0,60}$")] = ""
 
 
-class Decisions(Shape):
+class Decisions(Body):
     """All decisions of a site."""
 
     decisions: Annotated[list[Decision], Field(max_length=20_000)]
@@ -90,19 +82,27 @@ def review(site: SiteFolder) -> dict[str, Any]:
     """
     version = site_version(site, "decisions")
     poles = read_table(site.file(_POLES))
-    decisions = _decisions(site)
+    path = site.resolved.beside(site.resolved.site.poles.decisions)
+    decisions = pd.DataFrame({name: pd.Series(dtype=object) for name in COLUMNS})
+    if path is not None:
+        decisions = read_decisions(path, site.frame())
     base = _computed(poles, decisions)
     rows = nearest_poles(base, decisions)
-    seen = _sightings(site)
+    shards = range(site.resolved.settings.shards)
+    paths = [site.file(f"poles/sightings/{shard}.parquet") for shard in shards]
+    seen = pd.concat([read_table(path, [*_SIGHTING]) for path in paths], ignore_index=True)
     owner = match_sightings(seen, base)
-    hazard = _hazard(site)
+    hazard: dict[str, str] = {}
+    if (site.results / _HAZARD).exists():
+        table = read_table(site.results / _HAZARD, ["id", "rating"])
+        hazard = dict(zip(table["id"].astype(str), table["rating"].astype(str), strict=True))
     listed = [
         {
             **{name: finite(row[name]) for name in _SHOWN},
             "base": [row_base["x"], row_base["y"]],
             "hazard": hazard.get(str(row["id"]), ""),
             "decision": next((n for n in np.flatnonzero(rows == number).tolist()), None),
-            "seen": _pixels(seen[owner == number]),
+            "seen": _plain(seen.loc[owner == number, [*_SEEN, "depth_m"]]),
         }
         for number, (row, row_base) in enumerate(
             zip(poles.to_dict("records"), base.to_dict("records"), strict=True)
@@ -111,16 +111,16 @@ def review(site: SiteFolder) -> dict[str, Any]:
     return {
         "version": version,
         "poles": listed,
-        "decisions": _plain(decisions),
+        "decisions": _plain(decisions[[*COLUMNS]]),
         "gone": np.flatnonzero(rows < 0).tolist(),
     }
 
 
-def _decisions(site: SiteFolder) -> pd.DataFrame:
-    path = site.resolved.beside(site.resolved.site.poles.decisions)
-    if path is None:
-        return pd.DataFrame({name: pd.Series(dtype=object) for name in COLUMNS})
-    return read_decisions(path, site.frame())
+def _plain(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {str(name): finite(value) for name, value in row.items()}
+        for row in table.to_dict("records")
+    ]
 
 
 def _computed(poles: pd.DataFrame, decisions: pd.DataFrame) -> pd.DataFrame:
@@ -129,41 +129,13 @@ def _computed(poles: pd.DataFrame, decisions: pd.DataFrame) -> pd.DataFrame:
     if "decided" not in base:
         return base
     place = base[["x", "y"]].to_numpy(np.float64).copy()
-    here, there = (
-        decisions[names].to_numpy(np.float64) for names in (["x", "y"], ["to_x", "to_y"])
-    )
+    here, there = (decisions[xy].to_numpy(np.float64) for xy in (["x", "y"], ["to_x", "to_y"]))
     for row in np.flatnonzero((base["decided"] == "moved").to_numpy()):
         apart = np.nan_to_num(np.linalg.norm(there - place[row], axis=1), nan=np.inf)
         if len(apart) and apart.min() < _SAME_M:
             place[row] = here[int(apart.argmin())]
     base[["x", "y"]] = place
     return base
-
-
-def _sightings(site: SiteFolder) -> pd.DataFrame:
-    shards = range(site.resolved.settings.shards)
-    paths = [site.file(f"poles/sightings/{shard}.parquet") for shard in shards]
-    return pd.concat([read_table(path, [*_SIGHTING]) for path in paths], ignore_index=True)
-
-
-def _hazard(site: SiteFolder) -> dict[str, str]:
-    path = site.results / _HAZARD
-    if not path.exists():
-        return {}
-    table = read_table(path, ["id", "rating"])
-    return dict(zip(table["id"].astype(str), table["rating"].astype(str), strict=True))
-
-
-def _pixels(seen: pd.DataFrame) -> list[dict[str, Any]]:
-    columns = [*_SEEN, "depth_m"]
-    return [
-        {name: finite(row[name]) for name in columns} for row in seen[columns].to_dict("records")
-    ]
-
-
-def _plain(decisions: pd.DataFrame) -> list[dict[str, Any]]:
-    records = decisions[[*COLUMNS]].to_dict("records")
-    return [{str(name): finite(value) for name, value in row.items()} for row in records]
 
 
 def save_decisions(project: Project, stem: str, asked: list[Decision]) -> list[str]:
@@ -202,22 +174,16 @@ class Pictures:
         ------
         InputError : no such image.
         """
-        name = _file_of(site, image, view)
-        kind = _TYPES.get(PurePath(name).suffix.lower(), "application/octet-stream")
-        path = Path(images_of(site))
+        frames = read_table(site.file(_FRAMES))
+        rows = frames[frames["image"] == image]
+        column = _PATHS.get(view)
+        if rows.empty or column is None or not str(rows[column].iloc[0] or ""):
+            raise InputError("no such image", where=f"site {site.stem}", found=f"{image}, {view}")
+        name = str(rows[column].iloc[0])
+        kind, path = picture_type(name), Path(images_of(site))
         with self._lock:
             if self._source is not None and self._source.path == path:
                 with suppress(InputError):  # what it had found may have changed
                     return self._source.content(name), kind
             self._source = ImageSource(path)
             return self._source.content(name), kind
-
-
-def _file_of(site: SiteFolder, image: str, view: str) -> str:
-    """Name of an image's file below the folder of images."""
-    frames = read_table(site.file(_FRAMES))
-    rows = frames[frames["image"] == image]
-    column = _PATHS.get(view)
-    if rows.empty or column is None or not str(rows[column].iloc[0] or ""):
-        raise InputError("no such image", where=f"site {site.stem}", found=f"{image}, {view}")
-    return str(rows[column].iloc[0])

@@ -30,32 +30,25 @@ from roadsight.poles.calibration.registration import (
     register_camera,
 )
 from roadsight.studio.cloud_tiles import level_of_points
-from roadsight.studio.drawing import Metre, Shape
+from roadsight.studio.drawing import Metre
 from roadsight.studio.drive_views import POSE, SiteDrive, read_corrections
 from roadsight.studio.project import CLOUD, DEM, Project, SiteFolder
-from roadsight.studio.site_files import Writer, save_beside, saving
+from roadsight.studio.requests import Body
+from roadsight.studio.site_files import Writer, save_beside, saving, write_table
 
+# Points nearer than this are sent in all directions, because a camera that is moved may come to see
+# them
 _BESIDE_M = 5.0
-"""Points nearer than this are sent in all directions, because a camera that is moved may come to
-see them."""
-
-_AHEAD_M = 150.0
-"""Points further away are not sent."""
-
+_AHEAD_M = 150.0  # Points further away are not sent
+# Points so far beyond the image's sides are sent, so that the camera can be turned
 _ROOM_DEG = 12.0
-"""Points so far beyond the image's sides are sent, so that the camera can be turned."""
-
-_MOST_POINTS = 60_000
-"""Points that are sent of an image, coarse ones first."""
-
+_MOST_POINTS = 60_000  # Points that are sent of an image, coarse ones first
 POINT = np.dtype([("xyz", "<f4", 3), ("height_m", "<f4")])
-
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
 
-class PoseBody(Shape):
+class PoseBody(Body):
     """A camera's pose in the local frame and its focal length."""
 
     x: Metre
@@ -71,7 +64,7 @@ class PoseBody(Shape):
         return {name: float(getattr(self, name)) for name in POSE}
 
 
-class Pair(Shape):
+class Pair(Body):
     """A clicked pixel and the place that it shows."""
 
     u: Pixel
@@ -81,13 +74,13 @@ class Pair(Shape):
     z: Metre
 
 
-class PairsBody(Shape):
+class PairsBody(Body):
     """Clicked pairs of one image."""
 
     pairs: Annotated[list[Pair], Field(max_length=500)]
 
 
-class Registered(Shape):
+class Registered(Body):
     """One registered image: its number, pose, and the pairs it rests on, if any."""
 
     number: Annotated[int, Field(ge=0)]
@@ -95,7 +88,7 @@ class Registered(Shape):
     pairs: Annotated[list[Pair], Field(max_length=500, default_factory=list)]
 
 
-class BaselineBody(Shape):
+class BaselineBody(Body):
     """Registered images that make the baselines."""
 
     images: Annotated[list[Registered], Field(min_length=1, max_length=200)]
@@ -140,16 +133,16 @@ def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> d
     inside = camera.contains(uv)
     found: dict[str, Any] = {}
     total, count, every = 0.0, 0, [np.empty(0)]
-    for side, part in (
-        ("left", slice(None, map_edges.left)),
-        ("right", slice(map_edges.left, None)),
-    ):
-        first = ("left", "right").index(side)
+    sides = {"left": slice(None, map_edges.left), "right": slice(map_edges.left, None)}
+    for first, (side, part) in enumerate(sides.items()):
         pixels = np.concatenate([_group(image_edges, first), _group(image_edges, first + 2)])
-        squares = window_squares(uv[part][inside[part]], by_row(pixels), WINDOW_PX, WINDOW_PX)
+        points = uv[part][inside[part]]
+        squares = window_squares(points, by_row(pixels), WINDOW_PX, WINDOW_PX)
         squares = squares[np.isfinite(squares)]
         gained, near = float(squares.sum()), len(squares)
-        every.append(_gaps(uv[part][inside[part]], pixels))
+        if len(points) and len(pixels):
+            gap_px, _ = cKDTree(pixels).query(points)
+            every.append(gap_px[gap_px <= WINDOW_PX])
         found[f"{side}_px"] = float(np.sqrt(gained / near)) if near else None
         total, count = total + gained, count + near
     gaps = np.concatenate(every)
@@ -158,14 +151,6 @@ def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> d
         "median_px": float(np.median(gaps)) if len(gaps) else None,
         "points": count,
     }
-
-
-def _gaps(uv: Floats, pixels: Floats) -> Floats:
-    """Distances to the nearest pixel of the points that have one within the window."""
-    if not len(uv) or not len(pixels):
-        return np.empty(0)
-    gap_px, _ = cKDTree(pixels).query(uv)
-    return gap_px[gap_px <= WINDOW_PX]
 
 
 def _group(seen: Any, number: int) -> Floats:
@@ -180,18 +165,15 @@ def points_around(site: SiteFolder, drive: SiteDrive, number: int) -> bytes:
     west, south, east, north = (*(eye - _AHEAD_M), *(eye + _AHEAD_M))
     tiles = CloudTiles(site.file(CLOUD))
     xyz = stack_xyz(tiles.read_within((west, south, east, north), ("x", "y", "z")))
-    xyz = xyz[before_camera(xyz[:, :2] - eye, pose["heading_deg"], _view_deg(place, pose))]
-    order = np.argsort(level_of_points(xyz), kind="stable")[:_MOST_POINTS]
-    packed = np.zeros(len(order), POINT)
-    packed["xyz"] = xyz[order]
-    packed["height_m"] = _above_ground(site, drive, xyz[order])
-    return packed.tobytes()
-
-
-def _view_deg(place: Place, pose: dict[str, float]) -> float:
-    """Half the horizontal field of view, and room to turn."""
     half = np.degrees(np.arctan2(0.5 * place.start.width_px, pose["focal_px"]))
-    return float(min(half + _ROOM_DEG, 90.0))
+    view_deg = float(min(half + _ROOM_DEG, 90.0))  # half the field of view, and room to turn
+    xyz = xyz[before_camera(xyz[:, :2] - eye, pose["heading_deg"], view_deg)]
+    xyz = xyz[np.argsort(level_of_points(xyz), kind="stable")[:_MOST_POINTS]]
+    ground = read_raster(site.file(DEM), drive.frame).sample(xyz[:, 0], xyz[:, 1])
+    packed = np.zeros(len(xyz), POINT)
+    packed["xyz"] = xyz
+    packed["height_m"] = np.nan_to_num(xyz[:, 2] - ground)
+    return packed.tobytes()
 
 
 def before_camera(offset_m: NDArray[np.floating], heading_deg: float, half_deg: float) -> Bools:
@@ -200,11 +182,6 @@ def before_camera(offset_m: NDArray[np.floating], heading_deg: float, half_deg: 
     away = np.hypot(*offset_m.T)
     within = np.abs(wrap_deg(azimuth - heading_deg)) <= half_deg
     return (away <= _AHEAD_M) & (within | (away <= _BESIDE_M))
-
-
-def _above_ground(site: SiteFolder, drive: SiteDrive, xyz: NDArray) -> Floats:
-    ground = read_raster(site.file(DEM), drive.frame).sample(xyz[:, 0], xyz[:, 1])
-    return np.nan_to_num(xyz[:, 2] - ground)
 
 
 def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, Any]:
@@ -241,18 +218,12 @@ def registered_pose(found: Registration) -> dict[str, float]:
 
 # What registration by hand leaves: baselines with their pairs, corrections of single images.
 
+# Standard deviations of a pose set by eye: metres, radians, log focal length
 _HAND = np.array([0.3, 0.3, 0.1, 0.005, 0.005, 0.005, 0.01])
-"""Standard deviations of a pose set by eye: metres, radians, log focal length."""
-
 _BASELINE = "baseline.json"
-
 _PAIRS = "pairs.csv"
-
 _CORRECTIONS = "corrections.csv"
-
 _HEADER = ["image", "pixel_x", "pixel_y", "x", "y", "z"]
-
-_LENS = ("cx_px", "cy_px")
 
 
 def save_baseline(project: Project, drive: SiteDrive, images: list[Registered]) -> dict[str, Any]:
@@ -272,17 +243,26 @@ def save_baseline(project: Project, drive: SiteDrive, images: list[Registered]) 
     for one in images:
         place = drive.place(one.number)
         size = f"{place.start.width_px}x{place.start.height_px}"
-        by_hand = _expected_centre(drive, place, _by_hand(drive, place, one))
-        found.setdefault(size, []).append((by_hand, place.start))
+        seen = _by_hand(drive, place, one)
+        # The same view about the expected principal point: a drive's is found after its baseline.
+        turn = np.arctan(drive.shift_px(place) / seen.focal_px)
+        seen = replace(seen, heading_deg=seen.heading_deg - float(np.degrees(turn)))
+        found.setdefault(size, []).append((seen, place.start))
     content = {size: baseline(registered) for size, registered in sorted(found.items())}
     with saving(project, drive.site.stem, "registration") as site:
         path = site.resolved.beside(site.resolved.site.poles.baseline)
         known = {} if path is None else read_baselines(path)
         files: dict[str, Writer] = {_BASELINE: lambda to: write_json(to, known | content)}
         pairs = None if path is None else Path(path).with_name(_PAIRS)
-        rows = _other_pairs(drive, pairs, {*content}) + _pair_rows(drive, images)
+        rows = _other_pairs(drive, pairs, {*content})
+        # Pairs as `roadsight register` reads them: pixels, and places in the cloud's coordinates.
+        for one in images:
+            for pair in one.pairs:
+                numbers = [f"{n:.4f}" for n in drive.frame.to_native([pair.x, pair.y, pair.z])]
+                image = drive.place(one.number).image
+                rows.append([image, f"{pair.u:.2f}", f"{pair.v:.2f}", *numbers])
         if rows or (pairs and pairs.is_file()):
-            files[_PAIRS] = lambda to: _write_rows(to, rows)
+            files[_PAIRS] = lambda to: write_table(to, [_HEADER, *rows])
         named: dict[str, str | None] = {"baseline": _BASELINE}
         changed = save_beside(project, site, "poles", files, named, {_PAIRS: "baseline"})
     return {"changed": changed, "baselines": content}
@@ -307,50 +287,24 @@ def _other_pairs(drive: SiteDrive, path: Path | None, sizes: set[str]) -> list[l
     return [row for row in rows if size_of.get(row[0]) not in sizes]
 
 
-def _expected_centre(drive: SiteDrive, place: Place, found: Registration) -> Registration:
-    """The same view about the expected principal point: a drive's is found after its baseline."""
-    turn = np.arctan(drive.shift_px(place) / found.focal_px)
-    return replace(found, heading_deg=found.heading_deg - float(np.degrees(turn)))
-
-
 def _by_hand(drive: SiteDrive, place: Place, one: Registered) -> Registration:
     """Registration from pairs where they determine it; else the pose as it was set by eye."""
     pose = one.pose.row()
     if len(one.pairs) >= 4:
         solved = registration(place, one.pairs)
-        close = all(abs(v - pose[n]) < 1e-6 for n, v in registered_pose(solved).items())
-        if close:
+        if all(abs(v - pose[n]) < 1e-6 for n, v in registered_pose(solved).items()):
             return solved
     rms = alignment_error(drive, place, pose)["rms_px"]
-    residuals = np.array([] if rms is None else [rms])
+    x, y, z, heading_deg, pitch_deg, roll_deg, focal_px = pose.values()
     return Registration(
-        np.array([pose["x"], pose["y"], pose["z"]]),
-        pose["heading_deg"],
-        pose["pitch_deg"],
-        pose["roll_deg"],
-        pose["focal_px"],
-        residuals if len(residuals) else np.zeros(1),
+        np.array([x, y, z]),
+        heading_deg,
+        pitch_deg,
+        roll_deg,
+        focal_px,
+        np.array([0.0 if rms is None else rms]),
         np.diag(_HAND**2),
     )
-
-
-def _pair_rows(drive: SiteDrive, images: list[Registered]) -> list[list[str]]:
-    """Pairs as `roadsight register` reads them: pixels, and places in the cloud's coordinates."""
-    return [
-        [drive.place(one.number).image, *_numbers(drive.frame, pair)]
-        for one in images
-        for pair in one.pairs
-    ]
-
-
-def _numbers(frame: Frame, pair: Pair) -> list[str]:
-    native = frame.to_native([pair.x, pair.y, pair.z])
-    return [f"{pair.u:.2f}", f"{pair.v:.2f}", *(f"{n:.4f}" for n in native)]
-
-
-def _write_rows(path: Path, rows: list[list[str]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([_HEADER, *rows])
 
 
 def save_correction(
@@ -365,18 +319,17 @@ def save_correction(
     image = str(drive.row(number)["image"])
     with saving(project, drive.site.stem, "registration") as site:
         known = read_corrections(site, drive.frame)
-        poses = {
-            name: {key: float(row[key]) for key in (*POSE, *_LENS)} for name, row in known.items()
-        }
+        keys = (*POSE, "cx_px", "cy_px")
+        poses = {name: {key: float(row[key]) for key in keys} for name, row in known.items()}
         poses.pop(image, None)
         if pose is not None:
             start = drive.place(number).start
             poses[image] = pose.row() | {"cx_px": start.cx_px, "cy_px": start.cy_px}
-        name = _CORRECTIONS if poses else None
-        files: dict[str, Writer] = (
-            {_CORRECTIONS: lambda to: _write_poses(to, drive.frame, poses)} if poses else {}
-        )
-        return save_beside(project, site, "poles", files, {"corrections": name})
+        files: dict[str, Writer] = {}
+        if poses:
+            files[_CORRECTIONS] = lambda to: _write_poses(to, drive.frame, poses)
+        named = {"corrections": _CORRECTIONS if poses else None}
+        return save_beside(project, site, "poles", files, named)
 
 
 def _write_poses(path: Path, frame: Frame, poses: dict[str, dict[str, float]]) -> None:

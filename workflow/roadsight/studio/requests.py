@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from flask import request
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from roadsight.base.errors import InputError
 
-Model = TypeVar("Model", bound=BaseModel)
 
-_JSON = "application/json"
+class Body(BaseModel):
+    """Content that a page sends; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+Model = TypeVar("Model", bound=Body)
 
 
 def version() -> str:
@@ -26,19 +31,15 @@ def body(model: type[Model]) -> Model:
     ------
     InputError : it is no JSON, or not as the model says.
     """
-    if request.mimetype != _JSON:
-        raise InputError(
-            "is of another kind", where="request", found=request.mimetype, allowed=_JSON
-        )
+    kind, given = "application/json", request.mimetype
+    if given != kind:
+        raise InputError("is of another kind", where="request", found=given, allowed=kind)
     try:
         return model.model_validate_json(request.get_data())
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"])) or "request"
         raise InputError(first["msg"], where=place, found=first.get("input")) from error
-
-
-# What forms of the studio ask for, as the schemas that check it have it.
 
 
 def field_of(section: type[BaseModel], name: str) -> dict[str, Any]:

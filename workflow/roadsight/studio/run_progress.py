@@ -9,24 +9,21 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 import roadsight
 from roadsight.base.errors import InputError
 from roadsight.studio.project import Project
+from roadsight.studio.requests import Body
 
+# Before this much of a run has passed, its speed says nothing, and full use of the cores is assumed
 _SOON_S = 10.0
-"""Before this much of a run has passed, its speed says nothing, and full use of the cores is
-assumed."""
-
-_MOST_TEXT = 2000
-"""Characters of an error message that are kept."""
+_MOST_TEXT = 2000  # Characters of an error message that are kept
 
 
 @dataclass
@@ -131,13 +128,16 @@ def remaining(
     None while nothing is known.
     """
     took = [job.described(now_s)["seconds"] for job in progress.finished if _works(job.rule)]
-    work = _work(progress, expected_s, took)
-    if work is None or not progress.jobs:
+    usual = [expected_s[rule] for rule in progress.counts if rule in expected_s] or took
+    if not usual or not progress.jobs:
         return None, ""
+    # Seconds of a step of each planned rule, and of a step that was not planned.
+    mean = sum(usual) / len(usual)
+    work = {rule: expected_s.get(rule, mean) if _works(rule) else 0.0 for rule in progress.counts}
     left = sum(count * work[rule] for rule, count in progress.counts.items())
-    left += max(progress.total - sum(progress.counts.values()), 0) * work[""]
-    done = sum(work.get(job.rule, work[""]) for job in progress.finished)
-    done += sum(min(now_s - job.start_s, work.get(job.rule, work[""])) for job in progress.running)
+    left += max(progress.total - sum(progress.counts.values()), 0) * mean
+    done = sum(work.get(job.rule, mean) for job in progress.finished)
+    done += sum(min(now_s - job.start_s, work.get(job.rule, mean)) for job in progress.running)
     passed = now_s - min(job.start_s for job in progress.jobs.values())
     speed = done / passed if passed > _SOON_S and done > 0 else float(cores)
     known = sum(count for rule, count in progress.counts.items() if rule in expected_s)
@@ -150,27 +150,13 @@ def _works(rule: str) -> bool:
     return rule not in TARGETS
 
 
-def _work(
-    progress: Progress, expected_s: Mapping[str, float], took: list[float]
-) -> dict[str, float] | None:
-    """Seconds of a step of each planned rule; under "" of a step that was not planned."""
-    known = [expected_s[rule] for rule in progress.counts if rule in expected_s]
-    usual = known or took
-    if not usual:
-        return None
-    mean = sum(usual) / len(usual)
-    work = {rule: expected_s.get(rule, mean) if _works(rule) else 0.0 for rule in progress.counts}
-    return work | {"": mean}
-
-
 # What Snakemake says of a run through the project's logger plugin, and what follows from it.
 
+# What may be asked for: the rules of the Snakefile that only name files
 TARGETS = ("all", "placement", "poles", "scene", "report", "tradeoffs", "audit", "hardcases")
-"""What may be asked for: the rules of the Snakefile that only name files."""
+CHECKPOINT = "profile_scene"  # The rule after which Snakemake may find further steps
 
-CHECKPOINT = "profile_scene"
-"""The rule after which Snakemake may find further steps."""
-
+# How Snakemake begins each reason for a job; files may follow
 _HEADS = (
     "Missing output files",
     "Incomplete output files",
@@ -182,20 +168,13 @@ _HEADS = (
     "Software environment definition has changed",
     "Forced execution",
 )
-"""How Snakemake begins each reason for a job; files may follow."""
 
+# The reason that is another job's, not a cause of its own
 _FOLLOWS = "Input files updated by another job"
-"""The reason that is another job's, not a cause of its own."""
-
+# Reasons are parted by semicolons, and names of files may hold some
 _SPLIT = re.compile(rf"; (?={'|'.join(map(re.escape, _HEADS))})")
-"""Reasons are parted by semicolons, and names of files may hold some."""
-
-_LONGEST = 300
-"""Characters of a reason; longer ones are cut."""
-
-_MOST_FILES = 4
-"""Files that a reason names; of more, their number is told."""
-
+_LONGEST = 300  # Characters of a reason; longer ones are cut
+_MOST_FILES = 4  # Files that a reason names; of more, their number is told
 Event = Mapping[str, Any]
 
 
@@ -218,7 +197,16 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 def causes(reason: str) -> list[str]:
     """Parts of a reason as Snakemake words it, long lists of files cut."""
-    return [_shortened(part) for part in _SPLIT.split(reason) if part]
+    found = []
+    for part in filter(None, _SPLIT.split(reason)):
+        head, colon, rest = part.partition(": ")
+        files = rest.split(", ")
+        if head.endswith("files") or head == _FOLLOWS:
+            more = len(files) - _MOST_FILES
+            rest = ", ".join(files[:_MOST_FILES]) + (f" and {more} more" if more > 0 else "")
+        text = f"{head}{colon}{rest}"
+        found.append(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…")
+    return found
 
 
 def is_own(cause: str) -> bool:
@@ -268,33 +256,17 @@ def _planned(rule: str, jobs: Sequence[Event], expected_s: Mapping[str, float]) 
     }
 
 
-def _shortened(cause: str) -> str:
-    head, colon, rest = cause.partition(": ")
-    files = rest.split(", ")
-    if head.endswith("files") or head == _FOLLOWS:
-        more = len(files) - _MOST_FILES
-        rest = ", ".join(files[:_MOST_FILES]) + (f" and {more} more" if more > 0 else "")
-    text = f"{head}{colon}{rest}"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
-
-
 # Calls of Snakemake: only with targets and sites of fixed lists, and never through a shell.
 
 _PACKAGES = Path(roadsight.__file__).resolve().parents[1]
-
 _OURS = "roadsight: "
-
-_DRY_RUN_S = 300.0
-"""Limit of a dry run, which takes longer with the steps of all sites."""
-
-_UNLOCK_S = 120.0
-"""Limit of removing a lock."""
+_DRY_RUN_S = 300.0  # Limit of a dry run, which takes longer with the steps of all sites
+_UNLOCK_S = 120.0  # Limit of removing a lock
 
 
-class Order(BaseModel):
+class Order(Body):
     """What is to be made: for one site by the name of its file, or for those of the settings."""
 
-    model_config = ConfigDict(extra="forbid")
     site: Annotated[str, Field(max_length=200)] | None = None
     target: Literal[
         "all", "placement", "poles", "scene", "report", "tradeoffs", "audit", "hardcases"
@@ -344,8 +316,10 @@ def dry_run(project: Project, order: Order) -> list[dict[str, Any]]:
     ------
     InputError : what Snakemake says where it cannot plan the run, or it takes too long.
     """
-    with _scratch(project) as folder:
-        events = folder / "events.jsonl"
+    scratch = project.inside(".snakemake/roadsight")
+    scratch.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=scratch, prefix="dry-run-") as folder:
+        events = Path(folder) / "events.jsonl"
         result = _call([*command(project, order, events), "--dry-run"], project, _DRY_RUN_S)
         found = read_events(events)
         if result.returncode != 0:
@@ -390,11 +364,3 @@ def _call(line: list[str], project: Project, timeout_s: float) -> subprocess.Com
         )
     except subprocess.TimeoutExpired as error:
         raise InputError(f"did not answer in {timeout_s:.0f} s", where="snakemake") from error
-
-
-@contextmanager
-def _scratch(project: Project) -> Iterator[Path]:
-    folder = project.inside(".snakemake/roadsight")
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix="dry-run-") as name:
-        yield Path(name)

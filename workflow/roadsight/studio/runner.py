@@ -22,28 +22,16 @@ from roadsight.io.records.atomic import write_json
 
 # Files of a run in its folder.
 LOCK = "lock"
-
 ORDER = "order.json"
-
 BEGUN = "begun.json"
-
 ENDED = "ended.json"
-
 EVENTS = "events.jsonl"
-
 OUTPUT = "output.log"
-
-GRACE_S = 20.0
-"""How long a run may take to stop before it is told more firmly."""
-
-BUSY = 3
-"""Exit code: another run holds the lock."""
-
+GRACE_S = 20.0  # How long a run may take to stop before it is told more firmly
+BUSY = 3  # Exit code: another run holds the lock
+# How often the lock is tried: the studio holds it for moments, to see whether a run is alive
 _TRIES = 20
-"""How often the lock is tried: the studio holds it for moments, to see whether a run is alive."""
-
-_PAUSE_S = 0.1
-"""Between two tries."""
+_PAUSE_S = 0.1  # Between two tries
 
 
 def hold(folder: Path, tries: int = 1) -> BinaryIO | None:
@@ -107,23 +95,18 @@ class Watch:
                     os.killpg(os.getpgid(0), signal.SIGTERM)
 
 
-def _begin(folder: Path, order: str) -> None:
-    """Forget the run before, and say from now on in its place what this one does."""
-    for name in (BEGUN, ENDED, EVENTS, OUTPUT):
-        (folder / name).unlink(missing_ok=True)
-    write_json(folder / ORDER, json.loads(order))
-    with (folder / OUTPUT).open("wb") as output:
-        for stream in (sys.stdout, sys.stderr):
-            os.dup2(output.fileno(), stream.fileno())
-
-
 def main(arguments: list[str]) -> int:
     """Run the command and write what becomes of it."""
     folder, order, command = Path(arguments[0]), arguments[1], arguments[2:]
     lock = hold(folder, _TRIES)
     if lock is None:
         return BUSY
-    _begin(folder, order)
+    for name in (BEGUN, ENDED, EVENTS, OUTPUT):
+        (folder / name).unlink(missing_ok=True)
+    write_json(folder / ORDER, json.loads(order))
+    with (folder / OUTPUT).open("wb") as output:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(output.fileno(), stream.fileno())
     watch = Watch()
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     write_json(folder / BEGUN, {"pid": os.getpid(), "time": time.time()})

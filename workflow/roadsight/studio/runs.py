@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from statistics import mean
@@ -40,16 +40,9 @@ from roadsight.studio.run_progress import (
 from roadsight.studio.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, is_held
 
 FOLDER = ".snakemake/roadsight/run"
-
-_START_S = 20.0
-"""How long the process of a run may take to lead it, before the studio answers."""
-
-_LAST_STEPS = 8
-"""Finished steps that are shown."""
-
-_LOG_BYTES = 64 << 10
-"""End of a log that is shown."""
-
+_START_S = 20.0  # How long the process of a run may take to lead it, before the studio answers
+_LAST_STEPS = 8  # Finished steps that are shown
+_LOG_BYTES = 64 << 10  # End of a log that is shown
 _NO_RUN: dict[str, Any] = {"order": None}
 
 
@@ -138,7 +131,10 @@ class Runs:
             end = time.monotonic() + _START_S
             while time.monotonic() < end and self._leader() != process.pid:
                 if process.poll() is not None and self._leader() != process.pid:
-                    raise self._unbegun(process.returncode, _tail(Path(early.name)))
+                    if process.returncode == BUSY:
+                        raise _busy()
+                    told = _tail(Path(early.name)) or _tail(self._folder / OUTPUT)
+                    raise InputError(complaint(told, []), where="the workflow")
                 time.sleep(0.05)
 
     def _leader(self) -> int | None:
@@ -146,11 +142,6 @@ class Runs:
         with suppress(InputError):
             return int(read_json(self._folder / BEGUN)["pid"])
         return None
-
-    def _unbegun(self, code: int, told: str) -> InputError:
-        if code == BUSY:
-            return _busy()
-        return InputError(complaint(told or _tail(self._folder / OUTPUT), []), where="the workflow")
 
     def stop(self, firmly: bool) -> None:
         """Ask the run to stop, as Ctrl-C does; firmly: with SIGTERM.
@@ -211,9 +202,17 @@ class Runs:
         progress = progress_of(events)
         now_s = time.time() if alive or ended is None else float(ended["time"])
         left_s, basis = remaining(progress, order["expected_s"], order["cores"], now_s)
+        if alive:
+            status = "stopping" if "stop_s" in order else "running"
+        elif ended is None:
+            status = "lost"
+        elif ended["code"] == 0:
+            status = "done"
+        else:
+            status = "stopped" if ended["stopped"] else "failed"
         described = {
             "order": {name: order[name] for name in ("site", "target", "cores")},
-            "status": _status(order, ended, alive),
+            "status": status,
             "begun_s": order["time"],
             "seconds": max(now_s - order["time"], 0.0),
             "left_s": left_s if alive else None,
@@ -260,16 +259,6 @@ def _none() -> InputError:
     return InputError("no run that the studio started", where="studio")
 
 
-def _status(order: dict[str, Any], ended: dict[str, Any] | None, alive: bool) -> str:
-    if alive:
-        return "stopping" if "stop_s" in order else "running"
-    if ended is None:
-        return "lost"
-    if ended["code"] == 0:
-        return "done"
-    return "stopped" if ended["stopped"] else "failed"
-
-
 def _tail(path: Path) -> str:
     """Last part of a text file; empty if there is none."""
     try:
@@ -284,8 +273,6 @@ def _tail(path: Path) -> str:
 #
 # Work is time of the processor: the time that passed depends on what else the machine did then.
 
-_CPU, _WALL = "cpu_time", "s"
-
 
 def earlier_seconds(results: Path, sites: Collection[str]) -> dict[str, float]:
     """Mean seconds of work of a step of each rule: at the given sites, else at all others.
@@ -299,44 +286,33 @@ def earlier_seconds(results: Path, sites: Collection[str]) -> dict[str, float]:
     far: dict[str, list[float]] = {}
     for folder in [*sorted(results.glob("*/benchmarks")), results / "benchmarks"]:
         own = not sites or folder.parent.name in sites or folder.parent == results
-        for rule, seconds in _benchmarks(folder):
-            (near if own else far).setdefault(rule, []).append(seconds)
+        for path in sorted(folder.rglob("*.tsv")):
+            try:
+                head, first, *_ = path.read_text(encoding="utf-8").split("\n")
+                named = dict(zip(head.split("\t"), first.split("\t"), strict=True))
+                seconds = _work_s(named)
+            except (OSError, ValueError, KeyError):
+                continue
+            (near if own else far).setdefault(path.stem, []).append(seconds)
     return {rule: mean(values) for rule, values in (far | near).items()}
-
-
-def _benchmarks(folder: Path) -> Iterator[tuple[str, float]]:
-    """Rule and seconds of each readable file."""
-    for path in sorted(folder.rglob("*.tsv")):
-        try:
-            head, first, *_ = path.read_text(encoding="utf-8").split("\n")
-            named = dict(zip(head.split("\t"), first.split("\t"), strict=True))
-            yield path.stem, _work_s(named)
-        except (OSError, ValueError, KeyError):
-            continue
 
 
 def _work_s(named: dict[str, str]) -> float:
     """Seconds of the processor; those that passed where the step was too short to be watched."""
-    passed = float(named[_WALL])
+    passed = float(named["s"])
     try:
-        return float(named[_CPU]) or passed
+        return float(named["cpu_time"]) or passed
     except (KeyError, ValueError):
         return passed
 
 
 # Whether Snakemake works in the project's folder without the studio, or left its lock there.
 
-_PROCESSES = Path("/proc")
-"""Where Linux lists processes."""
-
-_LOCKS = ".snakemake/locks"
-"""Where Snakemake keeps its lock on a folder."""
-
-_RUNNER = b"roadsight.studio.runner"
-"""By it the processes of the studio's own runs are known."""
-
+_PROCESSES = Path("/proc")  # Where Linux lists processes
+_LOCKS = ".snakemake/locks"  # Where Snakemake keeps its lock on a folder
+_RUNNER = b"roadsight.studio.runner"  # By it the processes of the studio's own runs are known
+# Calls of Snakemake with one of these do not hold its lock
 _NO_LOCK = (b"--dry-run", b"--dryrun", b"-n", b"--unlock")
-"""Calls of Snakemake with one of these do not hold its lock."""
 
 
 def lock_is_there(root: Path) -> bool:
@@ -351,25 +327,20 @@ def processes_outside(root: Path) -> list[dict[str, Any]]:
     Dry runs and other calls that take no lock do not count. Only processes of this machine and
     this user can be seen.
     """
-    found = dict(_snakemakes(root))
+    found: dict[int, tuple[int, list[bytes]]] = {}  # group and command line of each process
+    for folder in _PROCESSES.glob("[0-9]*"):
+        try:
+            line = (folder / "cmdline").read_bytes().split(b"\0")
+            if _calls_snakemake(line) and (folder / "cwd").readlink() == root:
+                found[int(folder.name)] = os.getpgid(int(folder.name)), line
+        except OSError:
+            continue
     ours = {group for group, line in found.values() if any(_RUNNER in part for part in line)}
     return [
         {"pid": pid}
         for pid, (group, line) in sorted(found.items())
         if group not in ours and not any(part in _NO_LOCK for part in line)
     ]
-
-
-def _snakemakes(root: Path) -> Iterator[tuple[int, tuple[int, list[bytes]]]]:
-    """Process number, its group and command line."""
-    for folder in _PROCESSES.glob("[0-9]*"):
-        try:
-            line = (folder / "cmdline").read_bytes().split(b"\0")
-            if not _calls_snakemake(line) or (folder / "cwd").readlink() != root:
-                continue
-            yield int(folder.name), (os.getpgid(int(folder.name)), line)
-        except OSError:
-            continue
 
 
 def _calls_snakemake(line: list[bytes]) -> bool:

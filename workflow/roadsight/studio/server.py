@@ -26,7 +26,6 @@ from werkzeug.wrappers import Response as AnyResponse
 from roadsight.base.errors import InputError
 from roadsight.studio.api_routes import (
     cloud_routes,
-    clouds_routes,
     drawing_routes,
     plans_routes,
     registration_routes,
@@ -39,7 +38,6 @@ from roadsight.studio.project import Project
 from roadsight.studio.site_files import OutdatedError
 
 log = logging.getLogger("studio")
-
 ASSETS = Path(__file__).with_name("assets")
 
 ROUTES = {
@@ -50,7 +48,6 @@ ROUTES = {
     "run": run_routes,
     "results": results_routes,
     "plans": plans_routes,
-    "clouds": clouds_routes,
 }
 
 _DEFAULT_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
@@ -142,27 +139,18 @@ def listen(app: Flask, port: int) -> BaseWSGIServer:
 # pages know.
 
 LOOPBACK = "127.0.0.1"
-
 TOKEN_HEADER = "X-Roadsight-Token"  # its name, not a secret
+API = "/api/"  # Begins the paths that need a token
+_NAMES = (LOOPBACK, "localhost")  # Hosts by which a browser on this machine may call the studio
+_LARGEST_BYTES = 16 << 20  # Largest request that is read
+_SAME = ("same-origin", "none")  # What a browser says of the site of a request that is not foreign
 
-API = "/api/"
-"""Begins the paths that need a token."""
-
-_NAMES = (LOOPBACK, "localhost")
-"""Hosts by which a browser on this machine may call the studio."""
-
-_LARGEST_BYTES = 16 << 20
-"""Largest request that is read."""
-
-_SAME = ("same-origin", "none")
-"""What a browser says of the site of a request that is not foreign."""
-
+# Pages load nothing from elsewhere and stand in no other page's frame
 _POLICY = (
     "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' blob: data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-"""Pages load nothing from elsewhere and stand in no other page's frame."""
 
 
 def new_token() -> str:

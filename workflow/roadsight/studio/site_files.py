@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import Field
 
 from roadsight.base.errors import InputError
-from roadsight.config.load import resolve_site
+from roadsight.config.load import SITES, resolve_site
 from roadsight.config.plans import FILES
+from roadsight.config.starter import site_name, start_site
 from roadsight.io.records.atomic import atomic_path
 from roadsight.studio.project import FRAME, Project, SiteFolder
+from roadsight.studio.requests import Body
 
 Writer = Callable[[Path], Any]
-
 Part = Literal["drawing", "decisions", "registration", "plans"]
-
 _SAMPLE_EDGES = "sample/edges.geojson"
 
+# Of each part that people save: section, its keys with the files that the studio writes for them,
+# and the results that it rests on
 _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
     "drawing": (
         "placement",
@@ -39,11 +43,8 @@ _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
     ),
     "plans": ("placement", {}, ()),
 }
-"""Of each part that people save: section, its keys with the files that the studio writes for them,
-and the results that it rests on."""
 
 _NAMES = {key: name for _, names, _ in _FILES.values() for key, name in names.items()}
-
 _saving = threading.RLock()
 
 
@@ -122,28 +123,31 @@ def save_beside(
         there that it does not name; nothing is written then.
     """
     with _saving:
-        return _save(project, site, section, files, named, along or {})
+        text = project.inside(site.resolved.file).read_bytes().decode()
+        for key, name in named.items():
+            text = with_value(text, section, key, name and f"{site.stem}/{name}")
+        folder = site.resolved.file.parent / site.stem
+        own = _own_files(project, site, section)
+        for name, key in (along or {}).items():
+            if key in own:
+                own[name] = own[key].with_name(name)
+        changed = write_site(project, site, text, files, {*own.values()})
+        plans = site.resolved.plans.values()
+        kept = {
+            Path(file).resolve() for p in plans for option in FILES if (file := p.file_of(option))
+        }
+        for key, name in named.items():
+            if name is not None or key not in own or own[key] in kept:
+                continue
+            if own[key] == project.inside(folder / _NAMES.get(key, "")):
+                own[key].unlink(missing_ok=True)
+        return changed
 
 
-def _save(
-    project: Project,
-    site: SiteFolder,
-    section: str,
-    files: dict[str, Writer],
-    named: dict[str, str | None],
-    along: dict[str, str],
-) -> list[str]:
-    text = project.inside(site.resolved.file).read_bytes().decode()
-    for key, name in named.items():
-        text = with_value(text, section, key, name and f"{site.stem}/{name}")
-    folder = site.resolved.file.parent / site.stem
-    own = _own_files(project, site, section)
-    own |= {name: own[key].with_name(name) for name, key in along.items() if key in own}
-    changed = write_site(project, site, text, files, {*own.values()})
-    for key, name in named.items():
-        if name is None and key in own and own[key] == project.inside(folder / _NAMES.get(key, "")):
-            _remove(own[key], site)
-    return changed
+def write_table(path: Path, rows: Iterable[Iterable[str]]) -> None:
+    """Rows of a CSV file, the titles of its columns first."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(rows)
 
 
 def write_site(
@@ -170,19 +174,22 @@ def write_site(
     paths = {project.inside(folder / name): write for name, write in files.items()}
     contents = {path: _content(path.name, write) for path, write in paths.items()}
     contents[site_file] = text.encode()
-    changed = [path for path, content in contents.items() if not _holds(path, content)]
-    _check_own({*changed} - {site_file, *own})
+    changed = [
+        path
+        for path, content in contents.items()
+        if not (path.is_file() and path.read_bytes() == content)
+    ]
+    for path in sorted({*changed} - {site_file, *own}):  # what somebody else put there stays
+        if path.exists():
+            raise InputError(
+                "is there already, and the site file does not name it",
+                where=str(path),
+                hint="move it away, or name it in the site file",
+            )
     for path in changed:
-        _write(path, contents[path])
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(contents[path])
     return [str(path.relative_to(project.root)) for path in changed]
-
-
-def _remove(path: Path, site: SiteFolder) -> None:
-    """Remove a file, unless a plan names it, too."""
-    plans = site.resolved.plans.values()
-    named = {Path(file).resolve() for p in plans for option in FILES if (file := p.file_of(option))}
-    if path not in named:
-        path.unlink(missing_ok=True)
 
 
 def _own_files(project: Project, site: SiteFolder, section: str) -> dict[str, Path]:
@@ -198,17 +205,6 @@ def _named(site: SiteFolder, section: str, key: str) -> str | None:
     return name
 
 
-def _check_own(foreign: set[Path]) -> None:
-    """Refuse to overwrite what somebody else put there."""
-    for path in sorted(foreign):
-        if path.exists():
-            raise InputError(
-                "is there already, and the site file does not name it",
-                where=str(path),
-                hint="move it away, or name it in the site file",
-            )
-
-
 def _content(name: str, write: Writer) -> bytes:
     """What a writer writes; under the file's own name, which some formats keep."""
     with tempfile.TemporaryDirectory() as folder:
@@ -216,21 +212,10 @@ def _content(name: str, write: Writer) -> bytes:
         return (Path(folder) / name).read_bytes()
 
 
-def _holds(path: Path, content: bytes) -> bool:
-    return path.is_file() and path.read_bytes() == content
-
-
-def _write(path: Path, content: bytes) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(content)
-
-
 # One value of a site file set or removed, everything else, comments too, left as it is.
 
 Value = str | dict[str, Any] | None
-
-_BREAKS = "\x85\u2028\u2029"
-"""Ends of lines for YAML, besides those that it escapes by itself."""
+_BREAKS = "\x85\u2028\u2029"  # Ends of lines for YAML, besides those that it escapes by itself
 
 
 def with_value(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
@@ -253,12 +238,22 @@ def with_value(text: str, section: str, key: str, value: Value, within: str | No
         return with_value(text, within, section, {key: value})
     if within and value is None and len(outer[section]) == 1:
         return with_value(text, within, section, None)
-    wanted = _expected(outer, section, key, value)
+    inner = dict(outer.get(section) or {})
+    inner.pop(key, None)
+    if value is not None:
+        inner[key] = value
+    wanted = {name: part for name, part in outer.items() if name != section}
+    if inner or (section in outer and value):
+        wanted[section] = inner
     changed = _changed(text, section, key, value, within)
     alike = [wanted, wanted | {section: {}}] if value is None else [wanted]
     if within:
         alike = [content | {within: one} for one in alike]
-    if _loaded(changed) not in alike:
+    try:
+        loaded = yaml.safe_load(changed)
+    except yaml.YAMLError:
+        loaded = None
+    if loaded not in alike:
         by_hand = f"set {section}.{key} to {_scalar(value)}" if value else f"remove {key}"
         raise InputError(
             "is written in a way that the studio cannot change",
@@ -266,22 +261,6 @@ def with_value(text: str, section: str, key: str, value: Value, within: str | No
             hint=f"{by_hand} by hand",
         )
     return changed
-
-
-def _loaded(text: str) -> Any:
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        return None
-
-
-def _expected(content: dict[str, Any], section: str, key: str, value: Value) -> dict[str, Any]:
-    inner = dict(content.get(section) or {})
-    inner.pop(key, None)
-    if value is not None:
-        inner[key] = value
-    rest = {name: part for name, part in content.items() if name != section}
-    return rest | {section: inner} if inner or (section in content and value) else rest
 
 
 def _changed(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
@@ -361,3 +340,58 @@ def _scalar(value: Value) -> str:
     if any(mark in written for mark in _BREAKS):
         written = str(yaml.safe_dump(value, **options))  # escapes them
     return written.removesuffix("\n").removesuffix("\n...").strip()
+
+
+# A site from a cloud on this machine, as `roadsight init` makes it; looked at first.
+
+_Text = Annotated[str, Field(max_length=4000)]
+
+
+class CloudBody(Body):
+    """A cloud that is to become a site.
+
+    Parameters
+    ----------
+    path : of the file on this machine. site : name for people; "": that of the file. given : keys
+    that the user knows. write : whether to write the site file, or only look.
+    """
+
+    path: Annotated[_Text, Field(min_length=1)]
+    site: Annotated[str, Field(max_length=100)] = ""
+    given: dict[Literal["crs", "target_crs", "units", "vertical_units"], _Text] = Field(default={})
+    write: bool = False
+
+
+def new_site(project: Project, asked: CloudBody) -> dict[str, Any]:
+    """What was found in a cloud, and the site file that it makes.
+
+    Raises
+    ------
+    InputError : no such cloud, it cannot be read, the site is there already, or a given key is
+        wrong; nothing is written then.
+    """
+    cloud = Path(asked.path.strip().strip('"')).expanduser()
+    if cloud.suffix.lower() not in (".las", ".laz") or not cloud.is_file():
+        raise InputError(
+            "is no LAS or LAZ file on this machine", where="cloud", found=str(cloud)[:200]
+        )
+    title = asked.site.strip() or cloud.stem
+    path = SITES / f"{site_name(title)}.yaml"
+    if path.exists():
+        raise InputError("exists already", where=str(path), hint="choose another name")
+    given = {str(key): value for key, value in asked.given.items()}
+    starter = start_site([cloud], path, site_name(title), title, given)
+    resolve_site(yaml.safe_load(starter.text), path, project.config())
+    if asked.write:
+        with atomic_path(project.inside(path)) as temporary:
+            temporary.write_text(starter.text, encoding="utf-8")
+    return {
+        "site": starter.name,
+        "file": str(path),
+        "found": starter.found,
+        "assumed": starter.assumed,
+        "doubts": starter.doubts,
+        "missing": starter.missing,
+        "text": starter.text,
+        "written": asked.write,
+    }

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from roadsight.report.files import template_environment
-from roadsight.report.wording import label, number, percent, seconds
+from roadsight.report.files import filled_page
+from roadsight.report.wording import label, number, percent, seconds, short
 
 TEMPLATE = "audit.html.j2"
 STYLES = ("base.css", "parts.css")
-
 Row = Mapping[str, Any]
 
 
@@ -22,7 +21,7 @@ def view(row: Row) -> dict[str, Any]:
         "effect": label(row["effect"]),
         "simulated": row["decision"] == "simulate",
         "quantity": row["quantity"],
-        "value": f"{number(float(format(row['value'], '.3g')))}{unit}",
+        "value": f"{short(row['value'])}{unit}",
         "threshold": f"{number(row['threshold'])}{unit}",
         "found": f"{number(row['found_with'])} / {number(row['found_without'])}",
         "seen": f"{number(row['seen_with'])} / {number(row['seen_without'])}",
@@ -41,13 +40,14 @@ def render_page(rows: Sequence[Row], assets: Mapping[str, str], version: str) ->
     ----------
     rows : of the audit's table. assets : text of the template and the styles.
     """
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     sites = dict.fromkeys(row["site"] for row in rows)
-    return environment.get_template(TEMPLATE).render(
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
         sites={name: [view(row) for row in rows if row["site"] == name] for name in sites},
         wrong=sum(not row["right"] for row in rows),
         decisions=len(rows),
-        css="\n".join(assets[name] for name in STYLES),
         version=version,
     )
 

@@ -7,17 +7,13 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from roadsight.report.files import template_environment
-from roadsight.report.wording import number
+from roadsight.report.files import filled_page
+from roadsight.report.wording import MISSING, number, short
 
 STYLES = ("base.css", "parts.css", "bench.css")
 TEMPLATE = "bench.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_bench` needs."""
-
-BOUND = "bound: "
-"""Begins the name of what nothing can be faster than."""
-
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_bench` needs
+BOUND = "bound: "  # Begins the name of what nothing can be faster than
 # Margins and sizes of the plot, px.
 _LEFT = 400.0  # names of the rows
 _RIGHT = 60.0  # the ratio behind the longest bar
@@ -25,8 +21,8 @@ _TOP = 12.0
 _ROW = 20.0
 _BOTTOM = 34.0  # numbers and title of the axis
 _WIDTH = 1060.0
+# Ratios below a hundredth are drawn as one, so that one of them does not squeeze all bars
 _LEAST_DECADE = -2
-"""Ratios below a hundredth are drawn as one, so that one of them does not squeeze all bars."""
 
 
 def render_bench(
@@ -38,11 +34,12 @@ def render_bench(
     ----------
     rows : as in ``bench.json``. assets : text of the files named in `ASSETS`. machine : one line.
     """
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     bounds = [row for row in rows if is_bound(row)]
     peers = [row for row in rows if not is_bound(row)]
-    return environment.get_template(TEMPLATE).render(
-        css="\n".join(assets[name] for name in STYLES),
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
         chart=ratio_chart(peers) if peers else "",
         peers=[_shown(row) for row in peers],
         bounds=[_shown(row) for row in bounds],
@@ -57,40 +54,31 @@ def is_bound(row: Mapping[str, Any]) -> bool:
 
 
 def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+    clock = None  # seconds by the clock and their quotient, where they were taken
+    if "wall_s_ours" in row:
+        ours, against = row["wall_s_ours"], row["wall_s_against"]
+        values = {"ours_s": ours, "against_s": against, "times": ours / max(against, 1e-9)}
+        clock = {name: short(value) for name, value in values.items()}
     return {
         "kernel": row["kernel"],
         "ours": row["ours"],
         "against": str(row["against"]).removeprefix(BOUND),
         "workload": row["workload"],
-        "ours_s": number(_short(row["cpu_s_ours"])),
-        "against_s": number(_short(row["cpu_s_against"])),
-        "ratio": number(_short(row["ratio"])),
-        "times": number(_short(1 / row["ratio"])) if row["ratio"] > 0 else "\u2013",
-        "clock": _clock(row),
+        "ours_s": short(row["cpu_s_ours"]),
+        "against_s": short(row["cpu_s_against"]),
+        "ratio": short(row["ratio"]),
+        "times": short(1 / row["ratio"]) if row["ratio"] > 0 else MISSING,
+        "clock": clock,
         "ours_mib": _mib(row["peak_mib_ours"]),
         "against_mib": _mib(row["peak_mib_against"]),
-        "agreement": "\u2013" if row["agreement"] is None else number(row["agreement"]),
+        "agreement": MISSING if row["agreement"] is None else number(row["agreement"]),
         "metric": row["agreement_metric"],
         "slower": row["ratio"] < 1,
     }
 
 
-def _clock(row: Mapping[str, Any]) -> dict[str, str] | None:
-    """Seconds by the clock and their quotient, where they were taken."""
-    if "wall_s_ours" not in row:
-        return None
-    ours, against = row["wall_s_ours"], row["wall_s_against"]
-    values = {"ours_s": ours, "against_s": against, "times": ours / max(against, 1e-9)}
-    return {name: number(_short(value)) for name, value in values.items()}
-
-
-def _short(value: float) -> float:
-    """Value to three digits."""
-    return float(f"{value:.3g}")
-
-
 def _mib(value: float | None) -> str:
-    return "\u2013" if value is None else f"{value:.0f}"
+    return MISSING if value is None else f"{value:.0f}"
 
 
 def ratio_chart(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -125,7 +113,7 @@ def ratio_chart(rows: Sequence[Mapping[str, Any]]) -> str:
 def _bar(row: Mapping[str, Any], one: float, end: float, y: float) -> str:
     left, width = min(one, end), abs(end - one)
     kind = "slower" if end < one else "faster"
-    name, ratio = str(row["kernel"]), number(_short(row["ratio"]))
+    name, ratio = str(row["kernel"]), short(row["ratio"])
     title = f"{name}, {row['workload']}: {ratio} times ({row['against']})"
     other = row["workload"] if name.startswith("set cover") else row["against"]
     label = f"{name}: {str(other).split(' (')[0].split(', its ')[0]}"

@@ -8,17 +8,15 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from roadsight.report.files import template_environment
-from roadsight.report.wording import number
+from roadsight.report.files import filled_page
+from roadsight.report.wording import number, short
 from roadsight_hardcases.case import CaseResult
 
 STYLES = ("base.css", "parts.css", "hardcases.css")
 TEMPLATE = "hardcases.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_hardcases` needs."""
-
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_hardcases` needs
+# Errors over bounds are drawn from 1e-9 to 1e9; smaller and larger ones stand at the ends
 _DECADES = 9
-"""Errors over bounds are drawn from 1e-9 to 1e9; smaller and larger ones stand at the ends."""
 # Margins and sizes of the plot, px.
 _LEFT = 300.0  # names of the cases
 _RIGHT = 24.0
@@ -26,11 +24,6 @@ _TOP = 26.0  # the word above the line of the bounds
 _ROW = 15.0
 _BOTTOM = 34.0  # numbers and title of the axis
 _WIDTH = 1060.0
-
-
-def words(name: str) -> str:
-    """Name of a case as people read it."""
-    return name.replace("_", " ")
 
 
 def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], version: str) -> str:
@@ -41,10 +34,11 @@ def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], v
     results : in the catalogue's order. assets : text of the files named in `ASSETS`.
     """
     ordered = sorted(results, key=lambda result: result.case.stage)
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     stages = groupby(ordered, key=lambda result: result.case.stage)
-    return environment.get_template(TEMPLATE).render(
-        css="\n".join(assets[name] for name in STYLES),
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
         chart=chart_svg(ordered),
         stages=[(stage, [_row(result) for result in group]) for stage, group in stages],
         cases=len(results),
@@ -56,20 +50,15 @@ def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], v
 def _row(result: CaseResult) -> dict[str, Any]:
     case = result.case
     return {
-        "name": words(case.name),
+        "name": case.name.replace("_", " "),
         "hazard": case.hazard,
-        "naive": number(_short(result.naive_error)),
-        "ours": number(_short(result.our_error)),
+        "naive": short(result.naive_error),
+        "ours": short(result.our_error),
         "bound": number(case.bound),
         "unit": case.unit,
         "passed": result.passed,
         "known": case.known,
     }
-
-
-def _short(value: float) -> float:
-    """Value to three digits."""
-    return float(f"{value:.3g}")
 
 
 def share_of_bound(error: float, bound: float) -> float:
@@ -89,15 +78,6 @@ def chart_svg(results: Sequence[CaseResult]) -> str:
     floor = height - _BOTTOM
     lines = [_line(result, _TOP + _ROW * (n + 0.5)) for n, result in enumerate(results)]
     title = "Error over bound of each case, by the naive way and by ours"
-    return (
-        f'<svg class="chart cases" role="img" aria-label="{title}"'
-        f' viewBox="0 0 {_WIDTH:g} {height:g}">{_axis(floor)}{"".join(lines)}'
-        f'<text x="{_x(0):.1f}" y="{height - 4:.1f}" text-anchor="middle">'
-        "error over bound</text></svg>"
-    )
-
-
-def _axis(floor: float) -> str:
     parts = []
     for decade in range(-_DECADES, _DECADES + 1, 3):
         text = "1" if decade == 0 else f"10<tspan dy='-5' font-size='9'>{decade}</tspan>"
@@ -107,7 +87,12 @@ def _axis(floor: float) -> str:
         parts.append(f'<text x="{x:.1f}" y="{floor + 15:.1f}" text-anchor="middle">{text}</text>')
     parts.append(f'<path class="limit" d="M{_x(0):.1f} {_TOP - 8:g}V{floor:.1f}"/>')
     parts.append(f'<text x="{_x(0):.1f}" y="{_TOP - 12:g}" text-anchor="middle">bound</text>')
-    return "".join(parts)
+    return (
+        f'<svg class="chart cases" role="img" aria-label="{title}"'
+        f' viewBox="0 0 {_WIDTH:g} {height:g}">{"".join(parts)}{"".join(lines)}'
+        f'<text x="{_x(0):.1f}" y="{height - 4:.1f}" text-anchor="middle">'
+        "error over bound</text></svg>"
+    )
 
 
 def _line(result: CaseResult, y: float) -> str:
@@ -115,13 +100,13 @@ def _line(result: CaseResult, y: float) -> str:
     ends = [_x(share_of_bound(e, case.bound)) for e in (result.our_error, result.naive_error)]
     row = _row(result)
     title = (
-        f"{words(case.name)}: naive {row['naive']}, ours {row['ours']},"
+        f"{row['name']}: naive {row['naive']}, ours {row['ours']},"
         f" bound {row['bound']} ({case.unit})"
     )
     return (
         f"<g><title>{escape(title)}</title>"
         f'<text class="name" x="{_LEFT - 10:g}" y="{y + 4:.1f}" text-anchor="end">'
-        f"{escape(words(case.name))}</text>"
+        f"{escape(row['name'])}</text>"
         f'<path class="span" d="M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"/>'
         f'<circle class="ours" cx="{ends[0]:.1f}" cy="{y:.1f}" r="4.5"/>'
         f'<path class="naive" d="M{ends[1] - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"/></g>'

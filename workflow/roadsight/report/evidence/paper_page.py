@@ -10,14 +10,14 @@ import numpy as np
 
 from roadsight.evidence import paper, published
 from roadsight.report.charts import Chart, span_of
-from roadsight.report.files import template_environment
-from roadsight.report.wording import number
+from roadsight.report.files import filled_page
+from roadsight.report.wording import MISSING, number, short
 
 TEMPLATE = "paper.html.j2"
 STYLES = ("base.css", "parts.css", "poles.css", "truth.css")
 ASSETS = (TEMPLATE, *STYLES)
-_NONE = "\u2013"
 
+# What a reader has to know of each item
 _ABOUT = {
     "Table 2 placement": "Facts of each site. Ours are generated.",
     "Table 4": "Pavement points against the truth. The study labelled its own sites.",
@@ -42,7 +42,6 @@ _ABOUT = {
     "Voxel size": "The raster of the LiDAR cloud by the edge of a voxel. The study's cloud has 34"
     " million points, ours a million for each kilometre.",
 }
-"""What a reader has to know of each item."""
 
 Row = Mapping[str, Any]
 
@@ -61,13 +60,14 @@ def render_paper(
     rows : of ``paper.csv``. measured : the runs, see `roadsight.evidence.paper`.
     assets : text of the files named in `ASSETS`.
     """
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     studies = [
         ("placement", "Placement of roadside LiDAR", _placement_figures(measured)),
         ("poles", "Pole geolocation", _pole_figures(measured)),
     ]
-    return environment.get_template(TEMPLATE).render(
-        css="\n".join(assets[name] for name in STYLES),
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
         studies=[
             {"title": title, "items": _items(study, rows, figures)}
             for study, title, figures in studies
@@ -101,19 +101,15 @@ def _items(
 
 
 def _shown(row: Row) -> dict[str, str]:
-    values = {
-        key: _value(row[key])
-        for key in ("published", "as_published", "default", "cpu_s_as_published", "cpu_s_default")
-    }
     unit = f", {row['unit']}" if row["unit"] else ""
     name = row["row"] if row["row"] == row["quantity"] else f"{row['row']}: {row['quantity']}"
-    return {"site": row["site"], "name": f"{name}{unit}"} | values
-
-
-def _value(value: float | None) -> str:
-    if value is None or not math.isfinite(value):
-        return _NONE
-    return number(float(f"{value:.3g}") if abs(value) < 1000 else value)
+    shown = {"site": row["site"], "name": f"{name}{unit}"}
+    for key in ("published", "as_published", "default", "cpu_s_as_published", "cpu_s_default"):
+        value = row[key]
+        shown[key] = MISSING
+        if value is not None and math.isfinite(value):
+            shown[key] = short(value) if abs(value) < 1000 else number(value)
+    return shown
 
 
 def _placement_figures(measured: paper.Measured) -> dict[str, list[str]]:
@@ -123,20 +119,15 @@ def _placement_figures(measured: paper.Measured) -> dict[str, list[str]]:
         "Algorithm 1": "hybrid",
         **{title: way for way, title in paper.NETWORKS.items()},
     }
-    maps = [
-        _picture(f"{title}, OS-64", measured[f"{site}-{way}"]["maps"].get("table5-OS-64"))
-        for title, way in ways.items()
-    ]
+    maps = []
+    for title, way in ways.items():
+        url = measured[f"{site}-{way}"]["maps"].get("table5-OS-64")
+        picture = f'<img src="{url}" alt="Depth map"><figcaption>{title}, OS-64</figcaption>'
+        maps.append("" if url is None else f"<figure>{picture}</figure>")
     return {
         "Fig. 18": [_plans_chart(measured, site) for site in paper.PLACEMENT_SITES],
         "Fig. 19": [_time_chart(measured), *maps],
     }
-
-
-def _picture(title: str, url: str | None) -> str:
-    if url is None:
-        return ""
-    return f'<figure><img src="{url}" alt="Depth map"><figcaption>{title}</figcaption></figure>'
 
 
 def _plans_chart(measured: paper.Measured, site: str) -> str:
@@ -194,14 +185,13 @@ def _time_chart(measured: paper.Measured) -> str:
 
 def _pole_figures(measured: paper.Measured) -> dict[str, list[str]]:
     ways = {way: measured[f"route-{way}"]["validation"] for way in ("published", "default")}
+    anywhere, across = "Distance to the known pole, m", "Distance across the road, m"
     return {
         "Table 2": [_scores_chart(ways)],
         "Fig. 12": [
             _map_chart(measured["route-default"]),
-            _errors_chart(
-                ways, "geodesic_m", "Distance to the known pole, m", published.WITHIN_75_M
-            ),
-            _errors_chart(ways, "across_m", "Distance across the road, m", published.ACROSS_75_M),
+            _errors_chart(ways, "geodesic_m", anywhere, published.WITHIN_75_M),
+            _errors_chart(ways, "across_m", across, published.ACROSS_75_M),
         ],
     }
 
@@ -218,12 +208,8 @@ def _scores_chart(ways: Mapping[str, Any]) -> str:
     for name, (look, scores) in lines.items():
         xs, ys = [float(x) for x in scores], list(scores.values())
         chart.line(xs, ys, look)
-        chart.dots(
-            xs,
-            ys,
-            look,
-            [f"{name}, {x:g} m: {number(y or 0.0, 2)}" for x, y in zip(xs, ys, strict=True)],
-        )
+        texts = [f"{name}, {x:g} m: {number(y or 0.0, 2)}" for x, y in zip(xs, ys, strict=True)]
+        chart.dots(xs, ys, look, texts)
         chart.label(xs[-3], ys[-3] or 0.0, name)
     return chart.svg()
 

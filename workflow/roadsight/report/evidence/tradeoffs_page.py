@@ -10,13 +10,12 @@ from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import WHOLE_JOB, PublishedStage, Study
 from roadsight.evidence.tradeoffs import Cost, next_step
 from roadsight.report.charts import Chart, span_of
-from roadsight.report.files import template_environment
-from roadsight.report.wording import number, percent
+from roadsight.report.files import filled_page
+from roadsight.report.wording import MISSING, number, percent
 
 TEMPLATE = "tradeoffs.html.j2"
 STYLES = ("base.css", "parts.css", "poles.css")
-_MILE_KM = 1.609344
-"""An international mile; published figures are by the mile."""
+_MILE_KM = 1.609344  # An international mile; published figures are by the mile
 _PRECISION = {
     "coordinate_error_m": "Largest error of a coordinate",
     "normal_error_deg": "Error of normals, 95th percentile",
@@ -25,24 +24,76 @@ _PRECISION = {
 Row = Mapping[str, Any]
 
 
+def render_page(
+    studies: Mapping[str, Study],
+    rows: Sequence[Row],
+    stages: Sequence[Mapping[str, Any]],
+    assets: Mapping[str, str],
+    version: str,
+) -> str:
+    """HTML of the page; needs nothing else.
+
+    Parameters
+    ----------
+    rows : all rows of ``tradeoffs.csv`` with the study's name under ``study``.
+    """
+
+    def shown(job: str) -> list[dict[str, Any]]:
+        return [
+            {
+                "id": name,
+                "study": study,
+                "views": measure_views([row for row in rows if row["study"] == name]),
+            }
+            for name, study in studies.items()
+            if study.job == job
+        ]
+
+    precision = measure_views([row for row in rows if row["study"] == "coordinates"])
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
+        jobs=[("Placement of sensors", shown("placement")), ("Utility poles", shown("poles"))],
+        precision=precision,
+        stages=stages,
+        version=version,
+    )
+
+
 def measure_views(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Chart and table of each measure of one study, in order."""
-    keys = dict.fromkeys((row["stage"], row["metric"]) for row in rows)
-    return [_view([row for row in rows if (row["stage"], row["metric"]) == key]) for key in keys]
-
-
-def _view(rows: Sequence[Row]) -> dict[str, Any]:
-    default = next(row for row in rows if row["is_default"])
-    return {
-        "title": f"{title(default)}: {stage_name(default['stage'])}",
-        "reference": default["reference"],
-        "svg": _chart(rows),
-        "rows": [_shown(row) for row in rows],
-        # Where a perfect result is 0, a value is its own error.
-        "has_error": any(row["value"] != row["error_vs_reference"] for row in rows),
-        "on_frontier": default["on_frontier"],
-        "verdict": verdict(rows),
-    }
+    measures: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        measures.setdefault((row["stage"], row["metric"]), []).append(row)
+    views = []
+    for (stage, _), part in measures.items():
+        default = next(row for row in part if row["is_default"])
+        cost_of = "whole job" if stage == WHOLE_JOB else f"step {stage}"
+        views.append(
+            {
+                "title": f"{title(default)}: {cost_of}",
+                "reference": default["reference"],
+                "svg": _chart(part),
+                "rows": [
+                    {
+                        "level": row["level"],
+                        "cpu_s": number(row["cpu_seconds"]),
+                        "mib": number(row["peak_mib"]),
+                        "value": amount(row["value"], row["unit"]),
+                        "error": amount(row["error_vs_reference"], row["unit"]),
+                        "is_default": row["is_default"],
+                        "on_frontier": row["on_frontier"],
+                    }
+                    for row in part
+                ],
+                # Where a perfect result is 0, a value is its own error.
+                "has_error": any(row["value"] != row["error_vs_reference"] for row in part),
+                "on_frontier": default["on_frontier"],
+                "verdict": verdict(part),
+            }
+        )
+    return views
 
 
 def title(row: Row) -> str:
@@ -51,29 +102,23 @@ def title(row: Row) -> str:
     return METRICS[name].title if name in METRICS else _PRECISION[name]
 
 
-def stage_name(stage: str) -> str:
-    """Name of what the cost belongs to."""
-    return "whole job" if stage == WHOLE_JOB else f"step {stage}"
-
-
 def verdict(rows: Sequence[Row]) -> str:
     """One sentence: whether the default is on the frontier, and what the next step costs."""
     default = next(row for row in rows if row["is_default"])
     name = f"The default {default['level']}"
+    place = "is on the frontier" if default["on_frontier"] else "is off the frontier"
     step = next_step(rows)
     if step is None:
-        place = "is on the frontier" if default["on_frontier"] else "is off the frontier"
         return f"{name} {place}; no level is more accurate."
     gain = amount(abs(step["error"]), default["unit"])
     cost = f"{_signed(step['cpu_s'])} CPU s and {_signed(step['mib'])} MiB"
-    place = "is on the frontier" if default["on_frontier"] else "is off the frontier"
     return f"{name} {place}; {step['level']} is better by {gain} and costs {cost}."
 
 
 def amount(value: float, unit: str) -> str:
     """Value with its unit."""
     if not math.isfinite(value):
-        return "\u2013"
+        return MISSING
     if unit == "share":
         return percent(value)
     return number(value) if unit in ("count", "1") else f"{number(value)} {unit}"
@@ -81,18 +126,6 @@ def amount(value: float, unit: str) -> str:
 
 def _signed(value: float) -> str:
     return ("+" if value >= 0 else "") + number(round(value, 1))
-
-
-def _shown(row: Row) -> dict[str, Any]:
-    return {
-        "level": row["level"],
-        "cpu_s": number(row["cpu_seconds"]),
-        "mib": number(row["peak_mib"]),
-        "value": amount(row["value"], row["unit"]),
-        "error": amount(row["error_vs_reference"], row["unit"]),
-        "is_default": row["is_default"],
-        "on_frontier": row["on_frontier"],
-    }
 
 
 def _chart(rows: Sequence[Row]) -> str:
@@ -139,47 +172,11 @@ def stage_rows(
                 "hardware": f"{stage.cores} core{'s' if stage.cores > 1 else ''}"
                 + (" and a GPU" if stage.gpu else ""),
                 "published": number(stage.minutes_per_mile * stage.cores),
-                "own": number(math.fsum(own) / 60 / miles) if own else "\u2013",
+                "own": number(math.fsum(own) / 60 / miles) if own else MISSING,
                 "rules": ", ".join(stage.rules),
             }
         )
     return rows
-
-
-def render_page(
-    studies: Mapping[str, Study],
-    rows: Sequence[Row],
-    stages: Sequence[Mapping[str, Any]],
-    assets: Mapping[str, str],
-    version: str,
-) -> str:
-    """HTML of the page; needs nothing else.
-
-    Parameters
-    ----------
-    rows : all rows of ``tradeoffs.csv`` with the study's name under ``study``.
-    """
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
-
-    def shown(job: str) -> list[dict[str, Any]]:
-        return [
-            {
-                "id": name,
-                "study": study,
-                "views": measure_views([row for row in rows if row["study"] == name]),
-            }
-            for name, study in studies.items()
-            if study.job == job
-        ]
-
-    precision = measure_views([row for row in rows if row["study"] == "coordinates"])
-    return environment.get_template(TEMPLATE).render(
-        jobs=[("Placement of sensors", shown("placement")), ("Utility poles", shown("poles"))],
-        precision=precision,
-        stages=stages,
-        css="\n".join(assets[name] for name in STYLES),
-        version=version,
-    )
 
 
 def plain_table(rows: Sequence[Row]) -> str:

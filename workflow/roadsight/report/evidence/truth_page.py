@@ -11,15 +11,12 @@ import pandas as pd
 
 from roadsight.evidence.truth.catalogue import AREAS, Area
 from roadsight.evidence.truth.table import MEAN, holds
-from roadsight.report.files import template_environment
-from roadsight.report.wording import number
+from roadsight.report.files import filled_page
+from roadsight.report.wording import MISSING, number, short
 
 STYLES = ("base.css", "parts.css", "truth.css")
 TEMPLATE = "truth.html.j2"
-ASSETS = (TEMPLATE, *STYLES)
-"""Names of the files that `render_truth` needs."""
-
-_NONE = "\u2013"
+ASSETS = (TEMPLATE, *STYLES)  # Names of the files that `render_truth` needs
 _WIDTH = 720.0
 _LEFT = 190.0
 _RIGHT = 60.0
@@ -35,12 +32,13 @@ def render_truth(table: pd.DataFrame, assets: Mapping[str, str], version: str) -
     ----------
     table : as in ``truth.csv``. assets : text of the files named in `ASSETS`.
     """
-    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     present = table[table["metric"] != "missing"]
     goals = [holds(_float(row.ours), str(row.goal or "")) for row in present.itertuples()]
     kept = [goal for goal in goals if goal is not None]
-    return environment.get_template(TEMPLATE).render(
-        css="\n".join(assets[name] for name in STYLES),
+    return filled_page(
+        TEMPLATE,
+        STYLES,
+        assets,
         areas=[_area(name, area, table[table["area"] == name]) for name, area in AREAS.items()],
         kept=sum(kept),
         goals=len(kept),
@@ -50,26 +48,24 @@ def render_truth(table: pd.DataFrame, assets: Mapping[str, str], version: str) -
 
 def _area(name: str, area: Area, rows: pd.DataFrame) -> dict[str, Any]:
     figures = rows[rows["metric"] != "missing"]
+    metrics = []
+    for metric in area.metrics:
+        part = figures[figures["metric"] == metric]
+        if len(part):
+            metrics.append(
+                {
+                    "name": words(metric),
+                    "unit": part["unit"].iloc[0],
+                    "rows": [_row(row) for _, row in part.iterrows()],
+                    "chart": dumbbells(metric, part) if len(part) > 1 else "",
+                }
+            )
     return {
         "name": name,
         "title": area.title,
         "peer": area.peer,
         "missing": rows.loc[rows["metric"] == "missing", "dataset"].tolist(),
-        "metrics": [
-            _metric(metric, figures[figures["metric"] == metric])
-            for metric in area.metrics
-            if (figures["metric"] == metric).any()
-        ],
-    }
-
-
-def _metric(metric: str, rows: pd.DataFrame) -> dict[str, Any]:
-    shown = [_row(row) for _, row in rows.iterrows()]
-    return {
-        "name": words(metric),
-        "unit": rows["unit"].iloc[0],
-        "rows": shown,
-        "chart": dumbbells(metric, rows) if len(rows) > 1 else "",
+        "metrics": metrics,
     }
 
 
@@ -98,7 +94,7 @@ def _float(value: Any) -> float:
 
 
 def _shown(value: float) -> str:
-    return number(float(f"{value:.3g}")) if math.isfinite(value) else _NONE
+    return short(value) if math.isfinite(value) else MISSING
 
 
 def dumbbells(metric: str, rows: pd.DataFrame) -> str:
@@ -124,8 +120,18 @@ def dumbbells(metric: str, rows: pd.DataFrame) -> str:
     for goal in dict.fromkeys(goals):
         parts.append(f'<path class="limit" d="M{x(goal):.1f} {_TOP:g}V{floor:g}"/>')
     for place, (dataset, one, other) in enumerate(zip(rows["dataset"], ours, peers, strict=True)):
-        y = _TOP + _ROW * (place + 0.5)
-        parts.append(_pair(words(str(dataset)), one, other, x, y))
+        name, y = words(str(dataset)), _TOP + _ROW * (place + 0.5)
+        title = f"{name}: ours {_shown(one)}, peer {_shown(other)}"
+        parts.append(
+            f"<g><title>{escape(title)}</title>"
+            f'<text class="name" x="{_LEFT - 10:g}" y="{y + 4:.1f}" text-anchor="end">'
+            f"{escape(name)}</text>"
+        )
+        if math.isfinite(other):
+            at = x(other)
+            parts.append(f'<path class="span" d="M{x(one):.1f} {y:.1f}H{at:.1f}"/>')
+            parts.append(f'<path class="naive" d="M{at - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"/>')
+        parts.append(f'<circle class="ours" cx="{x(one):.1f}" cy="{y:.1f}" r="4.5"/></g>')
     label = f"{words(metric)}, {rows['unit'].iloc[0]}"
     return (
         f'<svg class="chart truth" role="img" aria-label="{escape(label)} by data set"'
@@ -133,20 +139,6 @@ def dumbbells(metric: str, rows: pd.DataFrame) -> str:
         f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:g}" y="{floor + 31:g}" text-anchor="middle">'
         f"{escape(label)}</text></svg>"
     )
-
-
-def _pair(dataset: str, ours: float, peer: float, x: Any, y: float) -> str:
-    title = f"{dataset}: ours {_shown(ours)}, peer {_shown(peer)}"
-    parts = [
-        f'<text class="name" x="{_LEFT - 10:g}" y="{y + 4:.1f}" text-anchor="end">'
-        f"{escape(dataset)}</text>"
-    ]
-    if math.isfinite(peer):
-        parts.append(f'<path class="span" d="M{x(ours):.1f} {y:.1f}H{x(peer):.1f}"/>')
-        at = x(peer)
-        parts.append(f'<path class="naive" d="M{at - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"/>')
-    parts.append(f'<circle class="ours" cx="{x(ours):.1f}" cy="{y:.1f}" r="4.5"/>')
-    return f"<g><title>{escape(title)}</title>{''.join(parts)}</g>"
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -17,20 +17,17 @@ from ezdxf.enums import TextEntityAlignment
 from ezdxf.layouts import BlockLayout, Modelspace
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.handover.layers import Layer
+from roadsight.report.handover.layers import Layer, field_text
 
 logging.getLogger("ezdxf").setLevel(logging.WARNING)
 
-_VERSION = "R2010"
-"""Release of the format that every CAD of the last ten years reads."""
-_TEXT_M = 0.8
-"""Height of texts: 1.6 mm on a plan of 1:500."""
-_MARK_M = 0.5
-"""Radius of the marks of sensors and poles."""
+_VERSION = "R2010"  # Release of the format that every CAD of the last ten years reads
+_TEXT_M = 0.8  # Height of texts: 1.6 mm on a plan of 1:500
+_MARK_M = 0.5  # Radius of the marks of sensors and poles
+# Codes of drawing units; 21 is the US survey foot
 _UNITS = {"metre": units.M, "foot": units.FT, "us-survey-foot": 21}
-"""Codes of drawing units; 21 is the US survey foot."""
+# Characters that names of layers in a drawing must not have
 _FORBIDDEN = str.maketrans(dict.fromkeys('<>/\\":;?*|=`', "_"))
-"""Characters that names of layers in a drawing must not have."""
 
 
 def drawing(layers: Sequence[Layer], frame: Frame, unit: str) -> str:
@@ -63,7 +60,7 @@ def drawing(layers: Sequence[Layer], frame: Frame, unit: str) -> str:
 
 def _add(document: Drawing, layer: Layer, frame: Frame, scale: float) -> None:
     name = layer.name.translate(_FORBIDDEN).upper()
-    document.layers.add(name, true_color=ezdxf.colors.rgb2int(_rgb(layer.style.colour)))
+    document.layers.add(name, true_color=int(layer.style.colour[1:], 16))
     space = document.modelspace()
     geometry = layer.features.geometry.name
     records = layer.features.drop(columns=geometry).to_dict("records")
@@ -94,7 +91,7 @@ def _point(
     turned = record.get("yaw_deg", 0.0)
     rotation = float(turned) if pd.notna(turned) else 0.0
     inserted = space.add_blockref(block, place, dxfattribs={"layer": name, "rotation": rotation})
-    inserted.add_auto_attribs({key.upper(): _shown(value) for key, value in record.items()})
+    inserted.add_auto_attribs({key.upper(): field_text(value) for key, value in record.items()})
     text = space.add_text(
         str(record[layer.style.label]), height=_TEXT_M * scale, dxfattribs={"layer": name}
     )
@@ -131,13 +128,3 @@ def _native(shape: Any, frame: Frame) -> list[tuple[float, ...]]:
     if native.shape[1] == 2:
         native = np.column_stack([native, np.full(len(native), frame.origin[2])])
     return [tuple(float(value) for value in row) for row in native]
-
-
-def _shown(value: Any) -> str:
-    if not isinstance(value, str) and pd.isna(value):
-        return ""
-    return f"{value:.10g}" if isinstance(value, float | np.floating) else str(value)
-
-
-def _rgb(colour: str) -> tuple[int, int, int]:
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

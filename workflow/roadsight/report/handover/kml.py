@@ -6,22 +6,20 @@ from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pandas as pd
 import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import longitudes_latitudes
-from roadsight.report.handover.layers import Layer
+from roadsight.report.handover.layers import Layer, field_text
 from roadsight.report.handover.styles import Style
 
 _SPACE = "http://www.opengis.net/kml/2.2"
 _DOT = "http://maps.google.com/mapfiles/kml/shapes/placemark_circle.png"
-_DECIMALS = 8
-"""Of degrees: a millimetre."""
+_DECIMALS = 8  # Of degrees: a millimetre
+# Layers with more features, such as targets, are left out: online maps refuse or choke on them
 _MOST_FEATURES = 500
-"""Layers with more features, such as targets, are left out: online maps refuse or choke on them."""
 
 
 def kml(title: str, layers: Sequence[Layer], frame: Frame) -> str:
@@ -73,7 +71,8 @@ def _folder(parent: ET.Element, style: str, layer: Layer, frame: Frame) -> None:
         data = ET.SubElement(mark, _tag("ExtendedData"))
         for key, value in record.items():
             if pd.notna(value):
-                _text(ET.SubElement(data, _tag("Data"), name=str(key)), "value", _shown(value))
+                field = ET.SubElement(data, _tag("Data"), name=str(key))
+                _text(field, "value", field_text(value))
         _geometry(mark, shape, frame)
 
 
@@ -120,10 +119,6 @@ def _style(document: ET.Element, name: str, style: Style) -> None:
     fill = ET.SubElement(element, _tag("PolyStyle"))
     _text(fill, "color", "66" + colour[2:])
     _text(fill, "fill", "1" if style.kind == "fill" else "0")
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.10g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def _tag(name: str) -> str:

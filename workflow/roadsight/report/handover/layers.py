@@ -48,8 +48,8 @@ _BY_POINTS = (
     Category("1", "fewer than 10", "#3b82f6"),
     Category("0", "none", "#dc2626"),
 )
+# On the lowest quarter of a target; plans of LiDARs have points, those of cameras pixels
 _LOW = "coalesce(attribute('points_1'), attribute('pixels_1'))"
-"""On the lowest quarter of a target; plans of LiDARs have points, those of cameras pixels."""
 _EDGE = Style("line", "#0f172a", size_mm=0.4)
 SENSOR_STYLE = Style("marker", "#b45309", size_mm=3.4, label="number")
 
@@ -104,11 +104,8 @@ def draped(features: gpd.GeoDataFrame, dem: Raster) -> gpd.GeoDataFrame:
     xy = shapely.get_coordinates(geometries)
     z = dem.sample(xy[:, 0], xy[:, 1])
     known = np.isfinite(z)
-    if known.any():
-        order = np.arange(len(z))
-        z = np.interp(order, order[known], z[known])
-    else:
-        z = np.zeros(len(z))
+    order = np.arange(len(z))
+    z = np.interp(order, order[known], z[known]) if known.any() else np.zeros(len(z))
     flat = shapely.force_3d(shapely.force_2d(geometries))
     placed = shapely.set_coordinates(flat, np.column_stack([xy, z]))
     return features.set_geometry(gpd.GeoSeries(placed, features.index))
@@ -162,6 +159,13 @@ def sensor_table(sensors: Sequence[dict[str, Any]], frame: Frame) -> pd.DataFram
     )
 
 
+def field_text(value: Any) -> str:
+    """Value of a feature's field as text, empty where there is none."""
+    if not isinstance(value, str) and pd.isna(value):
+        return ""
+    return f"{value:.10g}" if isinstance(value, float | np.floating) else str(value)
+
+
 def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     """A table with x, y, z in local metres as points."""
     geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
@@ -213,7 +217,6 @@ def plan_layers(
     objects: gpd.GeoDataFrame | None = None,
 ) -> list[Layer]:
     """Layers of a plan, the sensors on top."""
-    group = f"Plan {plan}"
     found = [
         ("sensors", "Chosen sensors; z is the sensor's.", sensors, SENSOR_STYLE),
         (
@@ -228,17 +231,11 @@ def plan_layers(
             obstacles,
             Style("marker", "#7c3aed", size_mm=1.2),
         ),
-        *(
-            []
-            if objects is None
-            else [
-                (
-                    "objects",
-                    "Objects in the way, by what they hide.",
-                    objects,
-                    Style("marker", "#be185d", size_mm=2.4, label="name"),
-                )
-            ]
+        (
+            "objects",
+            "Objects in the way, by what they hide.",
+            objects,
+            Style("marker", "#be185d", size_mm=2.4, label="name"),
         ),
         (
             "targets",
@@ -248,8 +245,9 @@ def plan_layers(
         ),
     ]
     return [
-        Layer(f"{name}_{plan}", group, about, features, style, "Point Z")
+        Layer(f"{name}_{plan}", f"Plan {plan}", about, features, style, "Point Z")
         for name, about, features, style in found
+        if features is not None
     ]
 
 

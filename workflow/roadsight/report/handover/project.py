@@ -12,9 +12,9 @@ from roadsight.geometry.crs import code
 from roadsight.report.handover.layers import Layer, Linked
 from roadsight.report.handover.styles import symbology
 
-_VERSION = "3.34.0"
-"""QGIS whose project files these are; later ones read them."""
+_VERSION = "3.34.0"  # QGIS whose project files these are; later ones read them
 _TYPES = {"Point": "Point", "LineString": "Line", "Polygon": "Polygon"}
+# Renderer of a terrain model: light from the north-west and three more directions
 _RELIEF = {
     "type": "hillshade",
     "band": "1",
@@ -24,11 +24,8 @@ _RELIEF = {
     "multidirection": "1",
     "opacity": "0.6",
 }
-"""Renderer of a terrain model: light from the north-west and three more directions."""
-_SHOWN_PLANS = 1
-"""Plans that are switched on when the project is opened."""
-_MARGIN = 0.05
-"""Of the extent, around it."""
+_SHOWN_PLANS = 1  # Plans that are switched on when the project is opened
+_MARGIN = 0.05  # Of the extent, around it
 
 
 def project(
@@ -54,16 +51,23 @@ def project(
     spatial.append(_reference(crs))
     tree = ET.SubElement(root, "layer-tree-group")
     groups: dict[str, ET.Element] = {}
-    shown = _ordered(layers, linked)
+    # By group, in the order in which groups come first; linked layers at their ends.
+    shown: list[Layer | Linked] = [*layers, *linked]
+    first = list(dict.fromkeys(layer.group for layer in shown))
+    shown.sort(key=lambda layer: first.index(layer.group))
     for layer in shown:
         if layer.group not in groups:
+            plans = sum(name.startswith("Plan ") for name in groups)
+            is_shown = not layer.group.startswith("Plan ") or plans < _SHOWN_PLANS
             groups[layer.group] = ET.SubElement(
                 tree,
                 "layer-tree-group",
                 name=layer.group,
-                checked="Qt::Checked" if _is_shown(layer.group, groups) else "Qt::Unchecked",
+                checked="Qt::Checked" if is_shown else "Qt::Unchecked",
                 expanded="1",
             )
+        # Features of a file of its own wait: they would hide those of their group.
+        waits = isinstance(layer, Linked) and bool(layer.geometry)
         ET.SubElement(
             groups[layer.group],
             "layer-tree-layer",
@@ -71,7 +75,7 @@ def project(
             name=layer.name,
             source=_address(source, layer),
             providerKey=_provider(layer),
-            checked="Qt::Unchecked" if _is_extra(layer) else "Qt::Checked",
+            checked="Qt::Unchecked" if waits else "Qt::Checked",
             expanded="0",
         )
     root.append(_canvas(crs, bounds))
@@ -89,25 +93,8 @@ def project(
     return f"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n{text}\n"
 
 
-def _ordered(layers: Sequence[Layer], linked: Sequence[Linked]) -> list[Layer | Linked]:
-    """Layers by group, in the order in which groups come first, linked ones at their ends."""
-    found: list[Layer | Linked] = [*layers, *linked]
-    groups = list(dict.fromkeys(layer.group for layer in found))
-    return sorted(found, key=lambda layer: groups.index(layer.group))
-
-
 def _provider(layer: Layer | Linked) -> str:
     return "gdal" if isinstance(layer, Linked) and not layer.geometry else "ogr"
-
-
-def _is_extra(layer: Layer | Linked) -> bool:
-    """Whether a layer waits until it is switched on: it would hide those of its group."""
-    return isinstance(layer, Linked) and bool(layer.geometry)
-
-
-def _is_shown(group: str, before: dict[str, ET.Element]) -> bool:
-    plans = sum(name.startswith("Plan ") for name in before)
-    return not group.startswith("Plan ") or plans < _SHOWN_PLANS
 
 
 def _identifier(layer: Layer | Linked) -> str:
@@ -132,7 +119,14 @@ def _reference(crs: CRS | None) -> ET.Element:
 
 def _canvas(crs: CRS | None, bounds: Floats) -> ET.Element:
     canvas = ET.Element("mapcanvas", name="theMapCanvas")
-    ET.SubElement(canvas, "units").text = "meters" if crs is None else _unit(crs)
+    unit = "meters"
+    if crs is not None and crs.axis_info:
+        name = crs.axis_info[0].unit_name.lower()
+        if "foot" in name:
+            unit = "US survey feet" if "survey" in name else "feet"
+        elif "degree" in name:
+            unit = "degrees"
+    ET.SubElement(canvas, "units").text = unit
     west, south, east, north = (float(value) for value in bounds)
     margin = _MARGIN * max(east - west, north - south)
     extent = ET.SubElement(canvas, "extent")
@@ -147,13 +141,6 @@ def _canvas(crs: CRS | None, bounds: Floats) -> ET.Element:
     destination = ET.SubElement(canvas, "destinationsrs")
     destination.append(_reference(crs))
     return canvas
-
-
-def _unit(crs: CRS) -> str:
-    name = crs.axis_info[0].unit_name.lower() if crs.axis_info else "metre"
-    if "foot" in name:
-        return "US survey feet" if "survey" in name else "feet"
-    return "degrees" if "degree" in name else "meters"
 
 
 def _map_layer(source: str, layer: Layer | Linked, crs: CRS | None) -> ET.Element:

@@ -16,8 +16,8 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.placement.plans.handover import offsets_m, stations_m
 from roadsight.report.handover.layers import sensor_table
 
+# Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree
 _DECIMALS = {"latitude": 8, "longitude": 8}
-"""Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree."""
 
 
 def stakeout(
@@ -57,19 +57,14 @@ def stakeout(
             "edge_offset_m": beside,
             "latitude": table["latitude"],
             "longitude": table["longitude"],
-            "convergence_deg": _convergence_deg(frame, xyz[:, :2]),
+            "convergence_deg": np.full(len(xyz), np.nan)
+            if frame.crs_wkt is None
+            else SiteNorth(frame).convergence_deg(xyz[:, :2]),
             **counted_in(frame),
         }
     )
     decimals = {str(name): 3 for name in found.select_dtypes("number")} | _DECIMALS
     return found.round(decimals).replace(-0.0, 0.0)
-
-
-def _convergence_deg(frame: Frame, xy_m: Floats) -> Floats:
-    """Grid convergence of places, NaN without a CRS."""
-    if frame.crs_wkt is None:
-        return np.full(len(xy_m), np.nan)
-    return SiteNorth(frame).convergence_deg(xy_m)
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:

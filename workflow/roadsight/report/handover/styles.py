@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-_VERSION = "3.34.0"
-"""QGIS whose style language this is; later ones read it."""
+_VERSION = "3.34.0"  # QGIS whose style language this is; later ones read it
 _OUTLINE = "#ffffff"
 
 
@@ -72,20 +71,18 @@ def symbology(style: Style) -> list[ET.Element]:
         colours = [category.colour for category in style.categories]
     symbols = ET.SubElement(renderer, "symbols")
     for number, colour in enumerate(colours):
-        symbols.append(_symbol(str(number), style, colour))
+        symbol = ET.Element(
+            "symbol", name=str(number), type=style.kind, alpha="1", clip_to_extent="1"
+        )
+        classes = {"marker": "SimpleMarker", "line": "SimpleLine", "fill": "SimpleFill"}
+        layer = ET.SubElement(symbol, "layer", enabled="1", locked="0")
+        layer.set("class", classes[style.kind])
+        layer.set("pass", "0")
+        options = ET.SubElement(layer, "Option", type="Map")
+        for key, value in _properties(style, colour).items():
+            ET.SubElement(options, "Option", type="QString", name=key, value=value)
+        symbols.append(symbol)
     return [renderer, *([_labels(style.label)] if style.label else [])]
-
-
-def _symbol(name: str, style: Style, colour: str) -> ET.Element:
-    symbol = ET.Element("symbol", name=name, type=style.kind, alpha="1", clip_to_extent="1")
-    classes = {"marker": "SimpleMarker", "line": "SimpleLine", "fill": "SimpleFill"}
-    layer = ET.SubElement(symbol, "layer", enabled="1", locked="0")
-    layer.set("class", classes[style.kind])
-    layer.set("pass", "0")
-    options = ET.SubElement(layer, "Option", type="Map")
-    for key, value in _properties(style, colour).items():
-        ET.SubElement(options, "Option", type="QString", name=key, value=value)
-    return symbol
 
 
 def _properties(style: Style, colour: str) -> dict[str, str]:

@@ -10,23 +10,21 @@ import pandas as pd
 from roadsight.report.charts import Chart
 from roadsight.report.wording import number
 
+# Drawings of a site: the worst by rank. The layer `cross_sections` and the table have all.
 MOST = 24
-"""Drawings of a site: the worst by rank. The layer `cross_sections` and the table have all."""
 _WIDE = 470.0
+# Pixels of a chart that its axes take, across and upwards (`roadsight.report.charts`)
 _AXES = (70.0, 54.0)
-"""Pixels of a chart that its axes take, across and upwards (`roadsight.report.charts`)."""
+# Heights of the plotted part, px: flat sections stay readable, cliffs do not fill the page
 _LEAST, _TALLEST = 90.0, 300.0
-"""Heights of the plotted part, px: flat sections stay readable, cliffs do not fill the page."""
-_ROW_PX = 13.0
-_CHARACTER_PX = 6.0
-"""Height and width of the letters of a drawing."""
-_POST_M = 1.2
-"""How much of an object is drawn above its ground."""
+_ROW_PX = 13.0  # Height of a row of letters
+_CHARACTER_PX = 6.0  # Width of the letters of a drawing
+_POST_M = 1.2  # How much of an object is drawn above its ground
 _PLACES = ("start_m", "end_m", "rise_m")
 _STEPS = ("kerb", "drop-off", "wall")
 _ENDS = ("least", "greatest")
+# Ends of a range this near to each other are told as one number: tenths of a metre are shown
 SAME_M = 0.05
-"""Ends of a range this near to each other are told as one number: tenths of a metre are shown."""
 
 
 def hazard_profiles(
@@ -81,25 +79,33 @@ def profile_chart(profile: dict[str, Any]) -> str:
     """Cross-section to scale: measured heights, straight pieces with slopes, object, clear zone."""
     run, height = profile["run_m"], profile["height_m"]
     level = float(height[0]) if height else 0.0
-    xs, ys, named = [], [], []
+    xs, ys = [], []
     for element in profile["elements"]:
         start = level
         level += element["rise_m"]
         xs += [element["start_m"], element["end_m"]]
         ys += [start, level]
-        named.append((element, (element["start_m"] + element["end_m"]) / 2))
     offset, (least, zone) = profile["offset_m"], profile["clear_zone_m"]
     foot = float(np.interp(offset, xs, ys)) if offset is not None else 0.0
     tops = [] if offset is None else [foot + _POST_M]
     span = (min([*xs, offset or 0.0]) - 0.5, max([*xs, offset or 0.0]) + 0.5)
     low, high = min([*height, *ys]) - 0.4, max([*height, *ys, *tops]) + 0.4
     per_m = (_WIDE - _AXES[0]) / (span[1] - span[0])
-    texts = [_words(element) for element, _ in named]
-    middles = [
-        max(x, span[0] + _CHARACTER_PX * len(text) / 2 / per_m)
-        for (_, x), text in zip(named, texts, strict=True)
-    ]
-    rows = _rows(texts, middles, per_m)
+    texts, middles, rows = [], [], []
+    ends: list[float] = []  # of each row of texts below the ground
+    for element in profile["elements"]:
+        kind, ratio = str(element["kind"]), element["ratio"]
+        text = kind if kind == ratio else f"{kind} {ratio}".strip()
+        if kind in _STEPS:
+            text = f"{kind} {number(abs(element['rise_m']), 2)} m"
+        half = _CHARACTER_PX * len(text) / 2 / per_m
+        middle = max((element["start_m"] + element["end_m"]) / 2, span[0] + half)
+        # The first row in which the text covers no other.
+        row = next((n for n, end in enumerate(ends) if middle - half > end), len(ends))
+        ends[row : row + 1] = [middle + half + 6 / per_m]
+        texts.append(text)
+        middles.append(middle)
+        rows.append(row)
     low -= (max(rows, default=-1) + 1) * _ROW_PX / per_m
     tall = float(np.clip((high - low) * per_m, _LEAST, _TALLEST))
     # To scale: where the drawing is held taller, the heights' range gives way.
@@ -130,26 +136,6 @@ def zone_text(least: float, greatest: float) -> str:
     """Width of a clear zone, a range where its ends differ."""
     width = f"{number(greatest, 1)} m"
     return width if greatest - least < SAME_M else f"{number(least, 1)} to {width}"
-
-
-def _rows(texts: list[str], middles: list[float], per_m: float) -> list[int]:
-    """Row below the ground for each text, the first in which it covers no other."""
-    ends: list[float] = []
-    found = []
-    for text, middle in zip(texts, middles, strict=True):
-        half = _CHARACTER_PX * len(text) / 2 / per_m
-        row = next((n for n, end in enumerate(ends) if middle - half > end), len(ends))
-        ends[row : row + 1] = [middle + half + 6 / per_m]
-        found.append(row)
-    return found
-
-
-def _words(element: dict[str, Any]) -> str:
-    if element["kind"] in _STEPS:
-        return f"{element['kind']} {number(abs(element['rise_m']), 2)} m"
-    if element["kind"] == element["ratio"]:
-        return str(element["kind"])
-    return f"{element['kind']} {element['ratio']}".strip()
 
 
 def _finite(value: Any) -> float | None:

@@ -12,24 +12,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import longitudes_latitudes
 from roadsight.io.raster.top_rasters import TopRaster
-from roadsight.report.packing import pack, pack_points
-from roadsight.report.site.thinning import thin
+from roadsight.report.packing import pack, pack_points, thin
 
 ACCEPTED, REJECTED, UNUSED = 0, 1, 2
-
-_MOST_EDGE_POINTS = 60_000
-"""Points of road edges on the map, packed into the page."""
-
-_OPEN_RAY_M = 30.0
-"""Length of the drawn ray of a sighting without a depth."""
-
-_MOST_APART_DEG = 10.0
-"""A ray and a pole further apart in direction do not belong together."""
+_MOST_EDGE_POINTS = 60_000  # Points of road edges on the map, packed into the page
+_OPEN_RAY_M = 30.0  # Length of the drawn ray of a sighting without a depth
+_MOST_APART_DEG = 10.0  # A ray and a pole further apart in direction do not belong together
 
 
 def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:
@@ -53,6 +46,7 @@ def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:
     best = {name: np.where(np.isfinite(found[name]), found[name], track[name]) for name in track}
     right = np.radians(track["heading_deg"])
     shift_x, shift_y = found["x"] - track["x"], found["y"] - track["y"]
+    steps = frames["step_m"].fillna(0.0)
     return pd.DataFrame(
         {
             "image": frames["image"].astype(str).to_numpy(),
@@ -66,15 +60,9 @@ def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:
             "sigma_yaw_deg": pose["sigma_heading_deg"].to_numpy(np.float64),
             "lateral_m": shift_x * np.cos(right) - shift_y * np.sin(right),
             "sigma_lateral_m": pose["sigma_lateral_m"].to_numpy(np.float64),
-            "station_m": _stations_m(frames),
+            "station_m": (steps.groupby(frames["route"]).cumsum() - steps).to_numpy(np.float64),
         }
     )
-
-
-def _stations_m(frames: pd.DataFrame) -> Floats:
-    """Distance of each image from the first one of its route."""
-    steps = frames["step_m"].fillna(0.0)
-    return (steps.groupby(frames["route"]).cumsum() - steps).to_numpy(np.float64)
 
 
 def camera_layer(cameras: pd.DataFrame, shown: list[str]) -> dict[str, Any]:
@@ -209,20 +197,14 @@ def finite(value: Any) -> Any:
 
 # The LiDAR's classes seen from above, as a small picture for the map.
 
-KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
-"""What a pixel shows; of several in one pixel the last one wins."""
-
-LEVELS = 40
-"""Grey levels between two kinds, so that no rounding in a browser mixes them up."""
-
+LEVELS = 40  # Grey levels between two kinds, so that no rounding in a browser mixes them up
+# Kinds by class of LAS: 2 ground, 3 vegetation of any height, 4 building, 5 road, 6 bridge; further
+# 0 nothing and 1 other. Of several in one pixel of the picture the last one wins.
 _KIND_OF_CLASS = {2: 2, 3: 3, 4: 3, 5: 3, 6: 4, 11: 5, 17: 6}
-"""Colours of the picture by class of LAS: vegetation, of any height, has one."""
-
+# Cells along the longer side of the picture; cells are merged until it is no larger
 _MOST_CELLS = 2200
-"""Cells along the longer side of the picture; cells are merged until it is no larger."""
-
+# The picture ends so far from the route: what is further off tells nothing of its poles
 _REACH_M = 80.0
-"""The picture ends so far from the route: what is further off tells nothing of its poles."""
 
 
 def class_layer(top: TopRaster, cameras_xy_m: ArrayLike) -> dict[str, Any] | None:
@@ -243,15 +225,26 @@ def class_layer(top: TopRaster, cameras_xy_m: ArrayLike) -> dict[str, Any] | Non
     if window is None:
         return None
     low_row, high_row, low_column, high_column = window
-    kinds = _kinds(top.cls[low_row:high_row, low_column:high_column])
+    kind_of_class = np.ones(256, np.uint8)
+    kind_of_class[[0, *_KIND_OF_CLASS]] = [0, *_KIND_OF_CLASS.values()]
+    kinds = kind_of_class[top.cls[low_row:high_row, low_column:high_column]]
     factor = max(1, -(-max(kinds.shape) // _MOST_CELLS))
-    coarse = _coarser(kinds, factor)
+    rows, columns = kinds.shape
+    padded = np.pad(kinds, ((0, -rows % factor), (0, -columns % factor)))
+    blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
+    coarse = np.ascontiguousarray(blocks.max(axis=(1, 3)))
     cell_m = top.cell_size_m * factor
     west_m = top.west_m + low_column * top.cell_size_m
     north_m = top.north_m - low_row * top.cell_size_m
     column = np.floor((xy[:, 0] - west_m) / cell_m).astype(np.int64)
     row = np.floor((north_m - xy[:, 1]) / cell_m).astype(np.int64)
-    coarse[_far(coarse.shape, row, column, _REACH_M / cell_m)] = 0
+    # Cells far from every camera are left out; cameras beyond the rim count as on it.
+    reach = _REACH_M / cell_m
+    rim_row, rim_column = row.clip(0, coarse.shape[0] - 1), column.clip(0, coarse.shape[1] - 1)
+    near = np.hypot(row - rim_row, column - rim_column) <= reach
+    free = np.ones(coarse.shape, np.uint8)
+    free[rim_row[near], rim_column[near]] = 0
+    coarse[cv2.distanceTransform(free, cv2.DIST_L2, 5) > reach] = 0
     _, png = cv2.imencode(".png", coarse * LEVELS, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return {
         "west_m": west_m,
@@ -277,28 +270,3 @@ def _window(top: TopRaster, xy_m: Floats) -> tuple[int, int, int, int] | None:
     if low_row >= high_row or low_column >= high_column:
         return None
     return low_row, high_row, low_column, high_column
-
-
-def _kinds(classes: Bytes) -> Bytes:
-    """Kind of each cell by its ASPRS class."""
-    table = np.ones(256, np.uint8)
-    table[0] = 0
-    for number, kind in _KIND_OF_CLASS.items():
-        table[number] = kind
-    return table[classes]
-
-
-def _coarser(kinds: Bytes, factor: int) -> Bytes:
-    rows, columns = kinds.shape
-    padded = np.pad(kinds, ((0, -rows % factor), (0, -columns % factor)))
-    blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
-    return np.ascontiguousarray(blocks.max(axis=(1, 3)))
-
-
-def _far(shape: tuple[int, int], row: Ints, column: Ints, reach: float) -> Bools:
-    """Cells further than ``reach`` cells from every camera; those near the rim count as on it."""
-    free = np.ones(shape, np.uint8)
-    on_rim = row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
-    near = np.hypot(row - on_rim[0], column - on_rim[1]) <= reach
-    free[on_rim[0][near], on_rim[1][near]] = 0
-    return cv2.distanceTransform(free, cv2.DIST_L2, 5) > reach

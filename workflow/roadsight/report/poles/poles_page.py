@@ -37,53 +37,12 @@ from roadsight.report.poles.poles_layers import (
 from roadsight.report.site.cautions import Caution, told_cautions
 from roadsight.report.wording import counted, number, percent
 
-MOST_PICTURES = 60
-"""Pictures of poles in the page, which holds them itself: some 5 kB each."""
-
-FORMAT = "roadsight.poles-page/1"
-"""Of the page's content; the report refuses others."""
-
+MOST_PICTURES = 60  # Pictures of poles in the page, which holds them itself: some 5 kB each
+FORMAT = "roadsight.poles-page/1"  # Of the page's content; the report refuses others
 ReadImage = Callable[[str], Bytes]
-
+# Id of a pole, the view that shows it best, and what is cut out of it
 Picture = tuple[str, View, Bytes]
-"""Id of a pole, the view that shows it best, and what is cut out of it."""
-
 ReadEdges = Callable[[str], pd.DataFrame]
-
-
-# How an image's relative depth becomes metres, and what it is worth (paper 2, Figure 9).
-
-
-def depth_fit(
-    image: str, camera: ViewCamera, mask: Bytes, depth: NDArray[np.uint16], height_at: HeightAt
-) -> dict[str, Any] | None:
-    """Relative depth of the road against its LiDAR distance, with the fitted curve.
-
-    Parameters
-    ----------
-    mask : project classes. depth : relative inverse depth, 0 = unknown. height_at : the terrain.
-
-    Returns
-    -------
-    samples (distance along the optical axis and relative depth) and coefficients; None if the
-    image allows no fit
-    """
-    uv, z = road_points(camera, mask, height_at)
-    relative = sample_depth(depth, uv, mask.shape)
-    known = np.isfinite(relative)
-    z, relative = z[known], relative[known]
-    fit = fit_metric_depth(relative, z, balancing_weights(z))
-    if fit.reason:
-        return None
-    order = np.argsort(z, kind="stable")
-    kept = order[np.unique(np.linspace(0, len(z) - 1, _MOST_SAMPLES).astype(int))]
-    return {
-        "image": image,
-        "distance_m": z[kept].round(3).tolist(),
-        "relative": relative[kept].round(5).tolist(),
-        **{key: float(getattr(fit, key)) for key in ("c1", "c2", "sigma_d", "near_m", "far_m")},
-        "points": int(fit.points),
-    }
 
 
 @dataclass(frozen=True)
@@ -139,15 +98,23 @@ def build_poles_page(
     chosen = choose_images(cameras)
     names = cameras["image"].tolist()
     poles = pole_records(result.poles, names, Frame.from_dict(about))
-    for pole, seen in zip(poles, _seen_times(owner, len(poles)), strict=True):
+    times = np.bincount(owner[owner >= 0], minlength=len(poles)).tolist()
+    for pole, seen in zip(poles, times, strict=True):
         pole["sightings"] = seen
+    dropped = result.sightings.loc[~result.sightings["kept"].astype(bool), "reason"].astype(str)
+    left_out = images.loc[images["state"] != ACCEPTED, "reason"].astype(str)
+    hazard = result.hazard.astype(object).to_numpy().tolist()
     return {
         "format": FORMAT,
         "title": title,
         "summary": summary,
         "frame": about,
         "counts": _counts(images, result),
-        "rejections": _rejections(images, result.sightings) | {"poles": _by_count(result.withheld)},
+        "rejections": {
+            "images": _by_count(left_out),
+            "sightings": _by_count(dropped),
+            "poles": _by_count(result.withheld),
+        },
         "layers": {
             "raster": class_layer(result.top, cameras[["x", "y"]].to_numpy()),
             "edges": edge_points(result.road_edges_m),
@@ -159,7 +126,10 @@ def build_poles_page(
         "routes": _routes(cameras),
         "depth_fit": result.depth_fit,
         "depth_checks": depth_checks(result.sightings, owner, result.poles),
-        "hazard": _table(result.hazard),
+        "hazard": {
+            "columns": [str(name) for name in result.hazard.columns],
+            "rows": [[finite(value) for value in row] for row in hazard],
+        },
         "pictures": [
             {"id": name, "image": view.image, "view": view.view, **picture(cut)}
             for name, view, cut in result.pictures
@@ -178,10 +148,6 @@ def build_poles_page(
     }
 
 
-def _seen_times(owner: Ints, poles: int) -> list[int]:
-    return np.bincount(owner[owner >= 0], minlength=poles).tolist()
-
-
 def _counts(cameras: pd.DataFrame, result: PolesResult) -> dict[str, Any]:
     state = cameras["state"]
     lengths = cameras.groupby("route")["station_m"].max()
@@ -197,14 +163,8 @@ def _counts(cameras: pd.DataFrame, result: PolesResult) -> dict[str, Any]:
     }
 
 
-def _rejections(cameras: pd.DataFrame, sightings: pd.DataFrame) -> dict[str, list[list[Any]]]:
-    """Why images and sightings were left out, most frequent reason first."""
-    dropped = sightings.loc[~sightings["kept"].astype(bool), "reason"].astype(str)
-    left_out = cameras.loc[cameras["state"] != ACCEPTED, "reason"].astype(str)
-    return {"images": _by_count(left_out), "sightings": _by_count(dropped)}
-
-
 def _by_count(reasons: pd.Series) -> list[list[Any]]:
+    """Reasons with their number, most frequent first."""
     counts = reasons.value_counts().to_dict()
     return [[text, int(n)] for text, n in sorted(counts.items(), key=lambda i: (-i[1], i[0]))]
 
@@ -235,7 +195,6 @@ def _image(camera: pd.Series, result: PolesResult, owner: Ints) -> dict[str, Any
 
 
 def _routes(cameras: pd.DataFrame) -> list[dict[str, Any]]:
-    """Figures of the alignment along each route."""
     columns = ("station_m", "residual_px", "yaw_deg", "sigma_yaw_deg", "lateral_m")
     return [
         {
@@ -250,12 +209,6 @@ def _routes(cameras: pd.DataFrame) -> list[dict[str, Any]]:
     ]
 
 
-def _table(table: pd.DataFrame) -> dict[str, Any]:
-    """Columns in their order, and rows."""
-    rows = [[finite(value) for value in row] for row in table.astype(object).to_numpy().tolist()]
-    return {"columns": [str(name) for name in table.columns], "rows": rows}
-
-
 def plain(content: Any) -> Any:
     """JSON content without NaN and infinities."""
     if isinstance(content, dict):
@@ -267,23 +220,12 @@ def plain(content: Any) -> Any:
 
 # What limits the worth of located poles.
 
-_FEW_IMAGES = 20
-"""Fewer images are warned of: most poles are then seen from few sides."""
-
-_FEW_SIGHTINGS = 20
-"""Fewer sightings are warned of."""
-
-_FEW_CHECKED = 10
-"""Fewer known poles are warned of: a mean over them says little."""
-
-_LEAST_ALIGNED = 0.7
-"""A smaller share of aligned images is warned of."""
-
-_WIDE_SIGMA_M = 5.0
-"""Poles with a longer major half axis (one sigma) count as uncertain."""
-
-_WIDE_SHARE = 0.2
-"""A larger share of uncertain poles is warned of."""
+_FEW_IMAGES = 20  # Fewer images are warned of: most poles are then seen from few sides
+_FEW_SIGHTINGS = 20  # Fewer sightings are warned of
+_FEW_CHECKED = 10  # Fewer known poles are warned of: a mean over them says little
+_LEAST_ALIGNED = 0.7  # A smaller share of aligned images is warned of
+_WIDE_SIGMA_M = 5.0  # Poles with a longer major half axis (one sigma) count as uncertain
+_WIDE_SHARE = 0.2  # A larger share of uncertain poles is warned of
 
 
 def pole_cautions(
@@ -305,7 +247,8 @@ def pole_cautions(
         notes.append("No known poles for this site: errors and scores are not known here.")
     else:
         checked = len(validation.get("errors", []))
-        own = [_sentence(str(text)) for text in validation.get("warnings", [])]
+        told = map(str, validation.get("warnings", []))
+        own = [f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in told]
         if checked < _FEW_CHECKED and not any(text.startswith("Only") for text in own):
             warnings.append(
                 f"Only {counted(checked, 'pole')} could be checked against known ones: mean errors"
@@ -353,32 +296,16 @@ def _result_warnings(sightings: pd.DataFrame, poles: list[dict[str, Any]]) -> li
     return found
 
 
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
-
-
 # A few images of the route with what was projected onto them and what was found in them.
 
-MOST_IMAGES = 24
-"""Images in the page, which holds them itself: each adds its bytes."""
-
-WIDTH_PX = 640
-"""Width to which larger images are reduced."""
-
-_JPEG_QUALITY = 74
-"""Of reduced images: small, and edges still stand out."""
-
-_MOST_POINTS = 1200
-"""Points of each kind that are drawn on an image."""
-
+MOST_IMAGES = 24  # Images in the page, which holds them itself: each adds its bytes
+WIDTH_PX = 640  # Width to which larger images are reduced
+_JPEG_QUALITY = 74  # Of reduced images: small, and edges still stand out
+_MOST_POINTS = 1200  # Points of each kind that are drawn on an image
+# Points nearer to the camera are not drawn: they are under the vehicle or far out of the image
 _NEAR_M = 3.0
-"""Points nearer to the camera are not drawn: they are under the vehicle or far out of the image."""
-
-_FAR_M = 80.0
-"""Points further from the camera are not drawn: they would crowd at the horizon."""
-
-_STEPS_PER_PX = 8
-"""Places of drawn points are stored in eighths of a pixel."""
+_FAR_M = 80.0  # Points further from the camera are not drawn: they would crowd at the horizon
+_STEPS_PER_PX = 8  # Places of drawn points are stored in eighths of a pixel
 
 
 def choose_images(cameras: pd.DataFrame, most: int = MOST_IMAGES) -> list[int]:
@@ -446,22 +373,27 @@ def overlay(
     """
     scale = min(1.0, WIDTH_PX / size_px[0])
     projected = np.empty((0, 2)) if pose is None else _projected(pose, lidar_edges_m)
+    axes = []
+    for row, pole in zip(sightings.to_dict("records"), poles_of_sightings, strict=True):
+        top_u = row["u_min"] + row["u_max"] - row["u_foot"]
+        # From the foot to the opposite end of the object's box.
+        line = (row["u_foot"], row["v_foot"], top_u, row["v_min"])
+        axes.append(
+            {
+                "line": [round(float(value * scale), 1) for value in line],
+                "kept": bool(row["kept"]),
+                "pole": pole,
+                "reason": str(row["reason"] or ""),
+                "depth_m": finite(row["depth_m"]),
+            }
+        )
     return {
         "width_px": round(size_px[0] * scale),
         "height_px": round(size_px[1] * scale),
         "steps_per_px": _STEPS_PER_PX,
         "lidar": _pixels(projected, scale, size_px),
         "edges": _pixels(edges[["u", "v"]].to_numpy(np.float64), scale, size_px),
-        "axes": [
-            {
-                "line": [round(float(value * scale), 1) for value in _axis(row)],
-                "kept": bool(row["kept"]),
-                "pole": pole,
-                "reason": str(row["reason"] or ""),
-                "depth_m": finite(row["depth_m"]),
-            }
-            for row, pole in zip(sightings.to_dict("records"), poles_of_sightings, strict=True)
-        ],
+        "axes": axes,
     }
 
 
@@ -487,16 +419,41 @@ def _pixels(uv_px: Floats, scale: float, size_px: tuple[int, int]) -> dict[str, 
     return pack(np.rint(uv[_spread(order, _MOST_POINTS)] * _STEPS_PER_PX), "u2")
 
 
-def _axis(row: dict[Any, Any]) -> tuple[float, float, float, float]:
-    """From the foot to the opposite end of the object's box."""
-    top_u = row["u_min"] + row["u_max"] - row["u_foot"]
-    return row["u_foot"], row["v_foot"], top_u, row["v_min"]
+# How an image's relative depth becomes metres, and what it is worth (paper 2, Figure 9).
+
+_MOST_SAMPLES = 400  # Points of the plot of a fit; more would only cover each other
 
 
-_MOST_SAMPLES = 400
-"""Points of the plot of a fit; more would only cover each other."""
+def depth_fit(
+    image: str, camera: ViewCamera, mask: Bytes, depth: NDArray[np.uint16], height_at: HeightAt
+) -> dict[str, Any] | None:
+    """Relative depth of the road against its LiDAR distance, with the fitted curve.
 
-_SOURCES = ("network", "ground", "lidar")
+    Parameters
+    ----------
+    mask : project classes. depth : relative inverse depth, 0 = unknown. height_at : the terrain.
+
+    Returns
+    -------
+    samples (distance along the optical axis and relative depth) and coefficients; None if the
+    image allows no fit
+    """
+    uv, z = road_points(camera, mask, height_at)
+    relative = sample_depth(depth, uv, mask.shape)
+    known = np.isfinite(relative)
+    z, relative = z[known], relative[known]
+    fit = fit_metric_depth(relative, z, balancing_weights(z))
+    if fit.reason:
+        return None
+    order = np.argsort(z, kind="stable")
+    kept = order[np.unique(np.linspace(0, len(z) - 1, _MOST_SAMPLES).astype(int))]
+    return {
+        "image": image,
+        "distance_m": z[kept].round(3).tolist(),
+        "relative": relative[kept].round(5).tolist(),
+        **{key: float(getattr(fit, key)) for key in ("c1", "c2", "sigma_d", "near_m", "far_m")},
+        "points": int(fit.points),
+    }
 
 
 def depth_checks(sightings: pd.DataFrame, owner: Ints, poles: pd.DataFrame) -> dict[str, Any]:
@@ -513,7 +470,7 @@ def depth_checks(sightings: pd.DataFrame, owner: Ints, poles: pd.DataFrame) -> d
     )
     distance = np.hypot(apart[:, 0], apart[:, 1])
     checks = {}
-    for source in _SOURCES:
+    for source in ("network", "ground", "lidar"):
         column = f"depth_{source}_m"
         if column not in sightings:
             continue

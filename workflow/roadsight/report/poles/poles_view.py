@@ -10,13 +10,12 @@ import numpy as np
 
 from roadsight.evidence import published
 from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
-from roadsight.report import wording
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.poles.hazard_charts import SAME_M, profile_chart, zone_text
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
-from roadsight.report.wording import counted, number
+from roadsight.report.wording import MISSING, counted, label, metres, number, quantity
 
-_NAMES = {"GeoPackage": ".gpkg", "GeoJSON": ".geojson", "CSV": ".csv", "Parquet": ".parquet"}
+_FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".csv": "CSV", ".parquet": "Parquet"}
 
 _COORDINATES = {
     ".gpkg": "coordinate system of the LiDAR",
@@ -36,13 +35,11 @@ _HAZARD_TITLES = {
     "objects_per_km": "Fixed objects per km",
 }
 
+# Of the roadside columns, what the report's table shows; hazard.csv has all of them
 _HAZARD_TOLD = {"rank", "route", "shielded", "hazard_rating_1_to_7", "foreslope_ratio", "reasons"}
-"""Of the roadside columns, what the report's table shows; hazard.csv has all of them."""
-
 _HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"} | (
     set(ROADSIDE_COLUMNS) - _HAZARD_TOLD
 )
-
 _RATINGS = ("high", "medium", "low", "unknown")
 
 
@@ -53,15 +50,17 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
     ----------
     page : content of ``poles/page.json``.
     """
-    validation = page["validation"]
+    validation, poles = page["validation"], page["layers"]["poles"]
+    rows = {pole["id"]: row for row, pole in enumerate(poles)}
+    suffixes = {name: f".{name.rpartition('.')[2]}" for name in page["files"]}
     return {
         "counts": page["counts"],
         "cautions": page["cautions"],
         "rejections": page["rejections"],
         "images": page["images"],
-        "poles": page["layers"]["poles"],
+        "poles": poles,
         "thing": _thing(page),
-        "pictures": _pictures(page),
+        "pictures": [one | {"pole": rows.get(one["id"])} for one in page.get("pictures", [])],
         "hidden": page.get("hidden", False),
         "routes": [
             {"name": route["route"], "images": len(route["state"]), "charts": route_charts(route)}
@@ -74,11 +73,18 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
             for source in SOURCES
             if source in page["depth_checks"]
         ],
-        "hazard": _hazard(page["hazard"], page["layers"]["poles"]),
-        "profiles": _profiles(page.get("hazard_profiles", []), page["layers"]["poles"]),
+        "hazard": _hazard(page["hazard"], rows),
+        "profiles": _profiles(page.get("hazard_profiles", []), rows),
         "checked": None if validation is None else _checked(validation),
         "ablation": _ablation((validation or {}).get("ablation", [])),
-        "files": _files(page["files"]),
+        "files": [
+            {
+                "name": name,
+                "kind": _FORMATS.get(suffixes[name], ""),
+                "coordinates": _COORDINATES.get(suffixes[name], ""),
+            }
+            for name in page["files"]
+        ],
         "sections": _sections(page),
     }
 
@@ -95,12 +101,6 @@ def _thing(page: dict[str, Any]) -> dict[str, Any]:
         "high": any(pole.get("height_m") is not None for pole in poles),
         "shown": any(pole.get("cloud_shows") for pole in poles),
     }
-
-
-def _pictures(page: dict[str, Any]) -> list[dict[str, Any]]:
-    """Pictures with the row of their pole."""
-    rows = {pole["id"]: row for row, pole in enumerate(page["layers"]["poles"])}
-    return [one | {"pole": rows.get(one["id"])} for one in page.get("pictures", [])]
 
 
 def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
@@ -125,54 +125,42 @@ def poles_cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     counts, validation = page["counts"], page["validation"] or {}
     sigmas = [pole["sigma_major_m"] for pole in page["layers"]["poles"]]
     known = [sigma for sigma in sigmas if sigma is not None]
-    km = f"{wording.number(counts['length_m'] / 1000, 2)} km of road"
+    km = f"{number(counts['length_m'] / 1000, 2)} km of road"
     kinds = Counter(pole["kind"] for pole in page["layers"]["poles"])
-    named = ", ".join(wording.counted(count, kind) for kind, count in kinds.most_common())
+    named = ", ".join(counted(count, kind) for kind, count in kinds.most_common())
     things = _thing(page)["many"]
     cards = [
         (
             f"{things.capitalize()} located",
-            wording.number(counts["poles"]),
+            number(counts["poles"]),
             (km if counts["length_m"] else "") if things == "poles" else named,
         ),
-        (
-            "Images aligned",
-            wording.number(counts["aligned"]),
-            f"of {wording.number(counts['images'])}",
-        ),
-        (
-            "Sightings kept",
-            wording.number(counts["kept"]),
-            f"of {wording.number(counts['sightings'])}",
-        ),
+        ("Images aligned", number(counts["aligned"]), f"of {number(counts['images'])}"),
+        ("Sightings kept", number(counts["kept"]), f"of {number(counts['sightings'])}"),
     ]
     if known:
-        sigma = wording.metres(float(np.median(known)), 2)
+        sigma = metres(float(np.median(known)), 2)
         cards.append(("Uncertainty, median", sigma, "one sigma, longer axis"))
     if validation.get("mean_m") is not None:
-        checked = wording.counted(len(validation.get("errors", [])), "pole")
-        cards.append(("Mean error", wording.metres(validation["mean_m"], 2), f"{checked} checked"))
+        checked = counted(len(validation.get("errors", [])), "pole")
+        cards.append(("Mean error", metres(validation["mean_m"], 2), f"{checked} checked"))
     return cards
 
 
 def _checked(validation: dict[str, Any]) -> dict[str, Any]:
     """Errors, scores and scenarios beside the paper's own."""
     errors, thresholds = validation.get("errors", []), validation.get("thresholds", [])
-    geodesic = [error["geodesic_m"] for error in errors if error.get("geodesic_m") is not None]
-    across = [abs(e["across_m"]) for e in errors if e.get("across_m") is not None]
+    geodesic, across = _distances(errors)
+    spread = float(np.std(geodesic, ddof=1)) if len(geodesic) > 1 else None
     rows = [
-        (
-            "Poles matched to known ones",
-            wording.number(len(errors)),
-            wording.number(published.CHECKED),
-        ),
-        ("Mean distance", _mean(geodesic), wording.metres(published.MEAN_M)),
-        ("Standard deviation", _deviation(geodesic), wording.metres(published.STD_M)),
-        ("Three quarters within", _quartile(geodesic), wording.metres(published.WITHIN_75_M)),
+        ("Poles matched to known ones", number(len(errors)), number(published.CHECKED)),
+        ("Mean distance", _mean(geodesic), metres(published.MEAN_M)),
+        ("Standard deviation", metres(spread, 2), metres(published.STD_M)),
+        ("Three quarters within", _quartile(geodesic), metres(published.WITHIN_75_M)),
         (
             "Across the road, three quarters within",
             _quartile(across),
-            wording.metres(published.ACROSS_75_M),
+            metres(published.ACROSS_75_M),
         ),
     ]
     return {
@@ -180,9 +168,15 @@ def _checked(validation: dict[str, Any]) -> dict[str, Any]:
         "rows": rows,
         "errors": error_charts(errors) if errors else [],
         "f1": f1_chart(thresholds) if thresholds else "",
-        "thresholds": [row | {"paper": _paper_f1(row["threshold_m"])} for row in thresholds],
+        "thresholds": [row | {"paper": published.F1.get(row["threshold_m"])} for row in thresholds],
         "scenarios": _scenarios(errors),
     }
+
+
+def _distances(errors: Sequence[dict[str, Any]]) -> tuple[list[float], list[float]]:
+    """Known distances to the true poles, anywhere and across the road, m."""
+    geodesic = [error["geodesic_m"] for error in errors if error.get("geodesic_m") is not None]
+    return geodesic, [abs(e["across_m"]) for e in errors if e.get("across_m") is not None]
 
 
 def _truth(validation: dict[str, Any]) -> str:
@@ -191,27 +185,18 @@ def _truth(validation: dict[str, Any]) -> str:
     if not isinstance(truth, dict):
         return "" if truth is None else f"Known poles: {truth}."
     known, away = truth.get("within_reach", 0), truth.get("out_of_reach", 0)
-    text = wording.counted(known, "known pole") + " within reach of an image"
+    text = counted(known, "known pole") + " within reach of an image"
     if "reach_m" in truth:
-        text += f" ({wording.metres(truth['reach_m'], 0)})"
-    return f"{text}{f'; {wording.number(away)} out of reach do not count' if away else ''}."
+        text += f" ({metres(truth['reach_m'], 0)})"
+    return f"{text}{f'; {number(away)} out of reach do not count' if away else ''}."
 
 
 def _mean(values: Sequence[float]) -> str:
-    return wording.metres(float(np.mean(values)), 2) if values else wording.MISSING
-
-
-def _deviation(values: Sequence[float]) -> str:
-    return wording.metres(float(np.std(values, ddof=1)), 2) if len(values) > 1 else wording.MISSING
+    return metres(float(np.mean(values)), 2) if values else MISSING
 
 
 def _quartile(values: Sequence[float]) -> str:
-    return wording.metres(float(np.quantile(values, 0.75)), 2) if values else wording.MISSING
-
-
-def _paper_f1(threshold_m: float) -> float | None:
-    whole = float(threshold_m).is_integer()
-    return published.F1.get(int(threshold_m)) if whole else None
+    return metres(float(np.quantile(values, 0.75)), 2) if values else MISSING
 
 
 def _scenarios(errors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -223,14 +208,13 @@ def _scenarios(errors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     first = [name for name in published.SCENARIOS if name in groups]
     rows = []
     for name in first + sorted(set(groups) - set(first)):
-        geodesic = [e["geodesic_m"] for e in groups[name] if e.get("geodesic_m") is not None]
-        across = [abs(e["across_m"]) for e in groups[name] if e.get("across_m") is not None]
+        geodesic, across = _distances(groups[name])
         rows.append(
             {
                 "name": name[:1].upper() + name[1:],
                 "poles": len(groups[name]),
                 "mean_m": _mean(geodesic),
-                "most_m": wording.metres(max(geodesic, default=None), 2),
+                "most_m": metres(max(geodesic, default=None), 2),
                 "across_m": _mean(across),
                 "paper": published.scenario_mean_m(name),
             }
@@ -244,23 +228,24 @@ def _ablation(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     rows = []
     for record in records:
         name = str(record["component"])
-        title, about = published.COMPONENTS.get(name, (wording.label(name), ""))
+        title, about = published.COMPONENTS.get(name, (label(name), ""))
         rows.append({"title": title, "about": about, **{key: record.get(key) for key in keys}})
     return rows
 
 
-def _hazard(table: dict[str, Any], poles: list[dict[str, Any]]) -> dict[str, Any] | None:
+def _hazard(table: dict[str, Any], numbers: dict[str, int]) -> dict[str, Any] | None:
     """Hazard table: names of the columns, and rows with the number of their pole on the map."""
     if not table["rows"]:
         return None
     keys = [key for key in table["columns"] if key not in _HAZARD_HIDDEN]
     keys.sort(key=lambda key: key not in _HAZARD_FIRST)
-    numbers = {pole["id"]: number for number, pole in enumerate(poles)}
     records = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+    counts = Counter(record.get("rating") for record in records)
+    named = [f"{number(counts[rating])} {rating}" for rating in _RATINGS if counts[rating]]
     return {
-        "ratings": _ratings(records),
+        "ratings": ", ".join(named),
         "keys": keys,
-        "titles": [_HAZARD_TITLES.get(key) or wording.label(key) for key in keys],
+        "titles": [_HAZARD_TITLES.get(key) or label(key) for key in keys],
         "rows": [
             {
                 "pole": numbers.get(str(record.get("id", record.get("pole")))),
@@ -274,29 +259,25 @@ def _hazard(table: dict[str, Any], poles: list[dict[str, Any]]) -> dict[str, Any
     }
 
 
-def _profiles(
-    profiles: Sequence[dict[str, Any]], poles: Sequence[dict[str, Any]]
-) -> list[dict[str, Any]]:
+def _profiles(profiles: Sequence[dict[str, Any]], numbers: dict[str, int]) -> list[dict[str, Any]]:
     """Drawings of cross-sections with what they are of and why they are rated so."""
-    numbers = {pole["id"]: number for number, pole in enumerate(poles)}
-    return [
-        {
-            "svg": profile_chart(profile),
-            "id": profile["id"],
-            "pole": numbers.get(profile["id"]),
-            "rank": profile["rank"],
-            "place": _place(profile),
-            "reasons": profile["reasons"],
-        }
-        for profile in profiles
-    ]
-
-
-def _place(profile: dict[str, Any]) -> str:
-    """Route, station and side in words."""
-    side = {-1: "left", 1: "right"}.get(profile["side"], "side unknown")
-    station = wording.metres(profile["station_m"], 1)
-    return f"route {profile['route']}, {station}, {side}" if profile["route"] else side
+    found = []
+    for profile in profiles:
+        place = {-1: "left", 1: "right"}.get(profile["side"], "side unknown")
+        if profile["route"]:
+            station = metres(profile["station_m"], 1)
+            place = f"route {profile['route']}, {station}, {place}"
+        found.append(
+            {
+                "svg": profile_chart(profile),
+                "id": profile["id"],
+                "pole": numbers.get(profile["id"]),
+                "rank": profile["rank"],
+                "place": place,
+                "reasons": profile["reasons"],
+            }
+        )
+    return found
 
 
 def _cell(key: str, value: Any) -> dict[str, Any]:
@@ -310,7 +291,8 @@ def _cell(key: str, value: Any) -> dict[str, Any]:
             "number": False,
         }
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
-    text = wording.quantity("" if key == "objects_per_km" else key, _rounded(value))
+    rounded = round(value, 2) if isinstance(value, float) else value
+    text = quantity("" if key == "objects_per_km" else key, rounded)
     sort = "" if value is None else value
     return {"text": text, "sort": sort, "number": numeric}
 
@@ -328,43 +310,14 @@ def _ranged(key: str, record: dict[str, Any]) -> dict[str, str]:
     return {}
 
 
-def _rounded(value: Any) -> Any:
-    return round(value, 2) if isinstance(value, float) else value
+# Plots.
 
-
-def _ratings(records: Sequence[dict[str, Any]]) -> str:
-    """How many poles have which rating."""
-    counts = Counter(record.get("rating") for record in records)
-    named = [f"{wording.number(counts[rating])} {rating}" for rating in _RATINGS if counts[rating]]
-    return ", ".join(named)
-
-
-def _files(names: Sequence[str]) -> list[dict[str, str]]:
-    kinds = {suffix: kind for kind, suffix in _NAMES.items()}
-    return [
-        {
-            "name": name,
-            "kind": kinds.get(f".{name.rpartition('.')[2]}", ""),
-            "coordinates": _COORDINATES.get(f".{name.rpartition('.')[2]}", ""),
-        }
-        for name in names
-    ]
-
-
-# The plots of the poles job, made from the content of ``poles/page.json``.
-
-_WIDE = 1000.0
-"""Width of a plot along a route, px: about that of the page."""
-
-_LOW = 176.0
-"""Height of a plot along a route, px: several stand below each other."""
-
+_WIDE = 1000.0  # Width of a plot along a route, px: about that of the page
+_LOW = 176.0  # Height of a plot along a route, px: several stand below each other
+# Share of the values that an axis must show; a few wild ones lie outside, so that the others are
+# not squeezed
 _SHOWN_SHARE = 0.99
-"""Share of the values that an axis must show; a few wild ones lie outside, so that the others are
-not squeezed."""
-
-_BINS = 20
-"""Bars of a histogram."""
+_BINS = 20  # Bars of a histogram
 
 _PANELS = (
     ("residual_px", None, "Residual, px"),
@@ -372,12 +325,12 @@ _PANELS = (
     ("lateral_m", "sigma_lateral_m", "Moved right, m"),
 )
 
+# Where a single distance comes from, in words
 SOURCES = {
     "network": "the depth network",
     "ground": "the ground under its foot",
     "lidar": "a LiDAR column",
 }
-"""Where a single distance comes from, in words."""
 
 
 def route_charts(route: dict[str, Any]) -> list[str]:
@@ -476,39 +429,29 @@ def error_charts(errors: Sequence[dict[str, Any]]) -> list[dict[str, str]]:
         ("geodesic_m", "Distance to the known pole", published.WITHIN_75_M),
         ("across_m", "Distance across the road", published.ACROSS_75_M),
     )
-    return [
-        {"title": title, "scatter": scatter, "histogram": histogram}
-        for key, title, paper in kinds
-        for scatter, histogram in [_error_pair(errors, key, title, paper)]
-    ]
-
-
-def _error_pair(
-    errors: Sequence[dict[str, Any]], key: str, title: str, paper: float
-) -> tuple[str, str]:
-    known = [error for error in errors if error.get(key) is not None]
-    values = [abs(error[key]) for error in known]
-    order = sorted(range(len(values)), key=lambda n: values[n])
-    label = f"{title}, m"
-    span = span_of(values, start=0.0, least=1.0)
-    scatter = Chart(
-        label, "Poles, from the best to the worst", label, (0.0, len(values) + 1.0), span
-    )
-    scatter.level(paper, "reference", f"paper: 75 % within {number(paper)} m")
-    if values:
-        quartile = float(np.quantile(values, 0.75))
-        scatter.level(quartile, "fit", f"here: 75 % within {number(quartile, 2)} m")
-    texts = [f"{known[n].get('pole')}: {number(values[n], 2)} m" for n in order]
-    ranks = [float(n + 1) for n in range(len(order))]
-    scatter.dots(ranks, [values[n] for n in order], "good", texts)
-    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, span[1]))
-    histogram = Chart(f"Histogram: {label}", label, "Poles", span, span_of(counts, start=0.0))
-    histogram.bars(edges.tolist(), counts.tolist(), "good")
-    return scatter.svg(), histogram.svg()
+    found = []
+    for key, title, paper in kinds:
+        known = [(abs(error[key]), error) for error in errors if error.get(key) is not None]
+        known.sort(key=lambda pair: pair[0])
+        values = [value for value, _ in known]
+        axis, ranks = f"{title}, m", "Poles, from the best to the worst"
+        span = span_of(values, start=0.0, least=1.0)
+        scatter = Chart(axis, ranks, axis, (0.0, len(values) + 1.0), span)
+        scatter.level(paper, "reference", f"paper: 75 % within {number(paper)} m")
+        if values:
+            quartile = float(np.quantile(values, 0.75))
+            scatter.level(quartile, "fit", f"here: 75 % within {number(quartile, 2)} m")
+        texts = [f"{error.get('pole')}: {number(value, 2)} m" for value, error in known]
+        scatter.dots([float(n + 1) for n in range(len(known))], values, "good", texts)
+        counts, edges = np.histogram(values, bins=_BINS, range=(0.0, span[1]))
+        histogram = Chart(f"Histogram: {axis}", axis, "Poles", span, span_of(counts, start=0.0))
+        histogram.bars(edges.tolist(), counts.tolist(), "good")
+        found.append({"title": title, "scatter": scatter.svg(), "histogram": histogram.svg()})
+    return found
 
 
 def f1_chart(thresholds: Sequence[dict[str, Any]]) -> str:
-    """F1 score, precision and recall by distance threshold, and the paper's F1 score."""
+    """F1 score by distance threshold, and the paper's."""
     x = [float(row["threshold_m"]) for row in thresholds]
     chart = Chart(
         "F1 score by distance threshold",

@@ -13,18 +13,14 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.report.packing import to_byte
 
-_MOST_CELLS = 1200
-"""Cells along the longer side of a picture: what a large screen shows at once."""
+_MOST_CELLS = 1200  # Cells along the longer side of a picture: what a large screen shows at once
+# Points that a cell should have on average; smaller cells leave holes between scan lines
 _POINTS_A_CELL = 1.5
-"""Points that a cell should have on average; smaller cells leave holes between scan lines."""
-_REACH_CELLS = 2.0
-"""Holes so near to a point take its value; wider ones stay empty."""
+_REACH_CELLS = 2.0  # Holes so near to a point take its value; wider ones stay empty
+# Intensity is that of points so near to the ground, where a cell has any: markings and kerbs
 _SURFACE_M = 0.5
-"""Intensity is that of points so near to the ground, where a cell has any: markings and kerbs."""
-_HIGHEST_M = 12.0
-"""Height above ground at which the colours end, as in the 3D view."""
-_QUALITY = 78
-"""Of WebP, 1 to 100: a tenth of the bytes of PNG, and no blocks that can be seen."""
+_HIGHEST_M = 12.0  # Height above ground at which the colours end, as in the 3D view
+_QUALITY = 78  # Of WebP, 1 to 100: a tenth of the bytes of PNG, and no blocks that can be seen
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,11 @@ def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
     for plan in plans:
         for text in _limits(plan):
             titles.setdefault(text, []).append(plan["title"])
-    return [
-        Caution("warning", f"{_together(named, len(plans))}: {text}")
-        for text, named in titles.items()
-    ]
+    found = []
+    for text, named in titles.items():
+        together = "All plans" if len(named) == len(plans) > 1 else ", ".join(named)
+        found.append(Caution("warning", f"{together}: {text}"))
+    return found
 
 
 def _limits(plan: dict[str, Any]) -> Iterator[str]:
@@ -70,10 +71,6 @@ def _limits(plan: dict[str, Any]) -> Iterator[str]:
         share = percent(len(plan["gaps"]) / plan["targets"])
         asked = "no sensor" if plan["at_least"] == 1 else f"fewer than {plan['at_least']} sensors"
         yield f"{asked} sees {counted(len(plan['gaps']), 'target')} ({share} of all)."
-
-
-def _together(titles: list[str], plans: int) -> str:
-    return "All plans" if len(titles) == plans > 1 else ", ".join(titles)
 
 
 def data_cautions(

@@ -16,17 +16,10 @@ from scipy.ndimage import distance_transform_edt
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.report.packing import pack, pack_points, to_byte
 
-UNKNOWN_HEIGHT = 255
-"""Step that says that a point's height above ground is not known."""
-
-_HEIGHT_STEP_M = 0.1
-"""Heights above ground are stored in bytes: up to 25.4 m."""
-
-_DRAWN_WITHIN_M = 0.05
-"""Drawn lines may be so far off; smaller values make the page larger."""
-
-_MOST_RELIEF_CELLS = 900
-"""Cells along the longer side of the shaded relief."""
+UNKNOWN_HEIGHT = 255  # Step that says that a point's height above ground is not known
+_HEIGHT_STEP_M = 0.1  # Heights above ground are stored in bytes: up to 25.4 m
+_DRAWN_WITHIN_M = 0.05  # Drawn lines may be so far off; smaller values make the page larger
+_MOST_RELIEF_CELLS = 900  # Cells along the longer side of the shaded relief
 
 
 @dataclass(frozen=True)
@@ -146,20 +139,12 @@ def target_layer(targets: pd.DataFrame) -> dict[str, Any]:
 
 # A terrain model as shaded relief.
 
+# Light from the north-west, as maps have it: from the south, hills would look like hollows
 _SUN_AZIMUTH_DEG = 315.0
-"""Light from the north-west, as maps have it: from the south, hills would look like hollows."""
-
-_SUN_ALTITUDE_DEG = 45.0
-"""Height of the light above the horizon."""
-
-_EXAGGERATION = 2.0
-"""Slopes are drawn this much steeper: roadsides are too flat to show otherwise."""
-
-_NEAR_M = 2.0
-"""Filled cells within this of measured ones are shown: gaps between scan lines."""
-
-NO_DATA = 0
-"""Byte of cells without a height; shades go from 1 to 255."""
+_SUN_ALTITUDE_DEG = 45.0  # Height of the light above the horizon
+_EXAGGERATION = 2.0  # Slopes are drawn this much steeper: roadsides are too flat to show otherwise
+_NEAR_M = 2.0  # Filled cells within this of measured ones are shown: gaps between scan lines
+NO_DATA = 0  # Byte of cells without a height; shades go from 1 to 255
 
 
 def block_mean(heights_m: NDArray, cell_size_m: float, most_cells: int) -> tuple[Floats, float]:

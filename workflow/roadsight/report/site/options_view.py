@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from roadsight.placement.plans.tolerance import OUT
 from roadsight.report.charts import Chart, span_of
 from roadsight.report.packing import pack
-from roadsight.report.wording import counted, number, percent
+from roadsight.report.wording import MISSING, counted, number, percent
 
-_LISTED = 6
-"""Names in a cell of a table; of more, their number is told."""
+_LISTED = 6  # Names in a cell of a table; of more, their number is told
 
 
 def goal_proven(goal: dict[str, Any], status: str) -> bool:
@@ -57,13 +56,21 @@ def options_view(plan: dict[str, Any]) -> dict[str, Any] | None:
 def _asked_rows(options: dict[str, Any]) -> list[tuple[str, str, str]]:
     """What is asked for, how much of it, and what came of it."""
     asked = options["asked"]
-    failure = options["failure"]
-    left = f"{percent(failure['left_share'])} left when the worst sensor fails"
+    left = f"{percent(options['failure']['left_share'])} left when the worst sensor fails"
     short = len(options["short"])
     weight = options["weight"]
     share = percent(weight["seen"] / weight["of"]) if weight["of"] else "all"
+    budget, spacing_m, keep = (asked.get(name) for name in ("budget", "spacing_m", "keep_share"))
+    most = ""
+    if budget:
+        is_count = bool(budget.get("sensors"))
+        most = (
+            counted(int(budget["sensors"]), "sensor")
+            if is_count
+            else f"cost {number(budget['cost'])}"
+        )
     rows = [
-        ("Budget", _budget(asked.get("budget")), f"{share} of the weight seen"),
+        ("Budget", most, f"{share} of the weight seen"),
         ("Price of an unseen target", _number(asked.get("price")), f"{share} of the weight seen"),
         ("Sensors that see each target", _number(asked.get("at_least")), _short(short)),
         ("Areas with weights or numbers of their own", _yes(asked, "areas"), _short(short)),
@@ -74,31 +81,19 @@ def _asked_rows(options: dict[str, Any]) -> list[tuple[str, str, str]]:
         ),
         ("Sensors that must stand", _yes(asked, "mandatory"), "marked in the table of sensors"),
         ("Poles that stand already", _yes(asked, "poles"), "used where a sensor names one"),
-        ("Distance of sensors, at least", _metres(asked.get("spacing_m")), "kept"),
-        ("Coverage that any one failure leaves", _share(asked.get("keep_share")), left),
+        (
+            "Distance of sensors, at least",
+            "" if spacing_m is None else f"{number(spacing_m)} m",
+            "kept",
+        ),
+        ("Coverage that any one failure leaves", "" if keep is None else percent(keep), left),
     ]
     found = [row for row in rows if row[1]]
-    return found if asked.get("keep_share") else [*found, ("One sensor fails", "", left)]
-
-
-def _budget(budget: dict[str, Any] | None) -> str:
-    if not budget:
-        return ""
-    if budget.get("sensors"):
-        return counted(int(budget["sensors"]), "sensor")
-    return f"cost {number(budget['cost'])}"
+    return found if keep else [*found, ("One sensor fails", "", left)]
 
 
 def _number(value: float | None) -> str:
     return "" if value is None else number(value)
-
-
-def _metres(value: float | None) -> str:
-    return "" if value is None else f"{number(value)} m"
-
-
-def _share(value: float | None) -> str:
-    return "" if value is None else percent(value)
 
 
 def _yes(asked: dict[str, Any], name: str) -> str:
@@ -188,11 +183,10 @@ def _uniqueness(found: dict[str, Any], sensors: int) -> str:
 
 # What the report says of a plan whose sensors do not stand exactly as planned.
 
+# Borders of the classes of the share of changes that lose a target, fewest last
 LOST = (1e-9, 0.05, 0.2, 0.5)
-"""Borders of the classes of the share of changes that lose a target, fewest last."""
-
+# Of the changes, those that lose a target, by class: the map's colours from none to all seen
 NAMES = ("more than half", "20 to 50 %", "5 to 20 %", "less than 5 %", "none")
-"""Of the changes, those that lose a target, by class: the map's colours from none to all seen."""
 
 
 def lost_classes(shares: NDArray) -> dict[str, Any]:
@@ -208,27 +202,24 @@ def tolerance_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     if found is None or not found["rows"]:
         return None
     numbers = {sensor["candidate"]: sensor["number"] for sensor in plan["sensors"]}
-    rows = [
-        {
-            "kind": row["kind"],
-            "lost": number(row["lost"]),
-            "share": percent(row["share"]),
-            "mean": number(row["mean_lost"], 1),
-            "worst": _worst(row, numbers),
-        }
-        for row in found["rows"]
-    ]
+    rows = []
+    for row in found["rows"]:
+        # The sensor and the change that lose most; a sensor that is out needs no name of a change.
+        worst = f"sensor {numbers.get(row['sensor'], '?')}" if row["lost"] else MISSING
+        if row["lost"] and row["name"] != OUT:
+            worst += f", {row['name']}"
+        rows.append(
+            {
+                "kind": row["kind"],
+                "lost": number(row["lost"]),
+                "share": percent(row["share"]),
+                "mean": number(row["mean_lost"], 1),
+                "worst": worst,
+            }
+        )
     counts = plan.get("lost_counts", [])
     return {
         "rows": rows,
         "not_measured": found["not_measured"],
         "classes": list(zip(NAMES, counts, strict=True)) if counts else [],
     }
-
-
-def _worst(row: dict[str, Any], numbers: dict[str, int]) -> str:
-    """The sensor and the change that lose most; a sensor that is out needs no name of a change."""
-    if not row["lost"]:
-        return "\u2013"
-    sensor = f"sensor {numbers.get(row['sensor'], '?')}"
-    return sensor if row["name"] == OUT else f"{sensor}, {row['name']}"

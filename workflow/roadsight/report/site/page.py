@@ -38,17 +38,11 @@ from roadsight.report.site.layers import (
 )
 from roadsight.report.site.options_view import goal_proven, lost_classes
 
-FORMAT = "roadsight.page/2"
-"""Of the page's content; the report refuses others."""
-
+FORMAT = "roadsight.page/2"  # Of the page's content; the report refuses others
+# Borders of the classes of the share of the time in sight, one fewer than the map has colours
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
-"""Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
-
-_MOST_OBSTACLES = 300
-"""Obstacles in the page: those that block most."""
-
+_MOST_OBSTACLES = 300  # Obstacles in the page: those that block most
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
-
 _POSE = ("position", "pitch_deg", "roll_deg")
 
 
@@ -192,31 +186,41 @@ def _plan(
         proven = is_proven(solution["status"], solution["objective"], solution["bound"], whole)
     else:
         proven = goal_proven(options["goal"], solution["status"])
+    needs = {} if options is None else options["needs"]
+    needed = [needs.get(str(name), at_least) for name in placement.targets["target"]]
+    area_m2, proven_for = solution.get("proven_area_m2"), {}
+    if area_m2 is not None:
+        whole_m2 = float(scene.pavement.geometry.area.sum())
+        share = min(area_m2 / whole_m2, 1.0) if whole_m2 > 0 else 0.0
+        proven_for = {"proven_area_m2": area_m2, "proven_share": share}
+    in_sight = {}
+    if plan.in_sight is not None:
+        classes = np.searchsorted(IN_SIGHT, plan.in_sight, side="right")
+        counts = np.bincount(classes, minlength=len(IN_SIGHT) + 1).tolist()
+        in_sight = {"in_sight": pack(classes, "u1"), "in_sight_counts": counts}
     return {
         "name": solution["plan"],
         "title": plan.title,
         **{key: solution[key] for key in kept},
+        **{key: solution[key] for key in ("second", "availability") if key in solution},
+        **{key: result[key] for key in ("data", "tolerance") if key in result},
         **({} if options is None else {"options": options}),
         "seconds_cpu": result["seconds_cpu"],
-        **({"data": result["data"]} if "data" in result else {}),
         "at_least": at_least,
         "proven": proven,
-        **_proven_for(solution, scene),
+        **proven_for,
         "targets": len(placement.targets),
         "excluded": len(solution["excluded"]),
         "sensors": _sensors(solution["sensors"], sights, frame),
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
-        **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
+        **in_sight,
         "objects": objects_in_the_way(result.get("objects", []), result.get("removals", [])),
-        **({"second": solution["second"]} if "second" in solution else {}),
-        **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
-        **({"availability": solution["availability"]} if "availability" in solution else {}),
         "gaps": gaps_of(
             placement.targets,
             sights.times_seen,
-            _needs(placement.targets, at_least, options),
+            np.array(needed, np.int64),
             frozenset(plan.uncovered),
             plan.explained,
         ),
@@ -224,31 +228,6 @@ def _plan(
         "all_obstacles": len(plan.obstacles),
         "returns": {**pack_points(plan.returns_xyz_m), "sensor": pack(plan.returns_sensor, "u2")},
     }
-
-
-def _proven_for(solution: dict[str, Any], scene: Scene) -> dict[str, Any]:
-    """Pavement that the plan provably sees, and its share; nothing where nobody measured."""
-    area_m2 = solution.get("proven_area_m2")
-    if area_m2 is None:
-        return {}
-    whole_m2 = float(scene.pavement.geometry.area.sum())
-    return {
-        "proven_area_m2": area_m2,
-        "proven_share": min(area_m2 / whole_m2, 1.0) if whole_m2 > 0 else 0.0,
-    }
-
-
-def _in_sight(shares: NDArray) -> dict[str, Any]:
-    """Class of each target by its share of the time in sight, and targets by class."""
-    classes = np.searchsorted(IN_SIGHT, shares, side="right")
-    counts = np.bincount(classes, minlength=len(IN_SIGHT) + 1)
-    return {"in_sight": pack(classes, "u1"), "in_sight_counts": counts.tolist()}
-
-
-def _needs(targets: pd.DataFrame, at_least: int, options: dict[str, Any] | None) -> NDArray:
-    """How many sensors must see each target (n,)."""
-    own = {} if options is None else options["needs"]
-    return np.array([own.get(str(name), at_least) for name in targets["target"]], np.int64)
 
 
 def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> list[dict[str, Any]]:
@@ -297,15 +276,10 @@ def _cautions(
 # Targets that a plan leaves out, why, and what stands in the way (paper 1, Appendix B).
 
 OUT_OF_SIGHT = "no candidate sees it"
-
 NOT_CHOSEN = "candidates see it, the chosen sensors do not"
-
 TOO_FEW = "fewer sensors see it than asked for"
-
 _TEXTS = ("kind", "target", "candidate")
-
 _NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
-
 _DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
 
 
@@ -330,24 +304,25 @@ def gaps_of(
     details = explained.set_index("target")[["reason", *_DETAILS]].to_dict("index")
     must = np.broadcast_to(needed, len(targets))
     named = zip(targets["target"], targets["x"], targets["y"], times_seen, must, strict=True)
-    return [
-        {
-            "target": str(name),
-            "x": float(x),
-            "y": float(y),
-            "seen": int(seen),
-            "reason": _reason(name in uncovered, bool(seen), details.get(name)),
-            **{key: _known(details.get(name, {}).get(key)) for key in _DETAILS},
-        }
-        for name, x, y, seen, need in named
-        if seen < need
-    ]
-
-
-def _reason(uncovered: bool, seen: bool, details: dict[Any, Any] | None) -> str:
-    if uncovered:
-        return OUT_OF_SIGHT if details is None else f"{OUT_OF_SIGHT}: {details['reason']}"
-    return TOO_FEW if seen else NOT_CHOSEN
+    gaps = []
+    for name, x, y, seen, need in named:
+        if seen >= need:
+            continue
+        known = details.get(name, {})
+        reason = TOO_FEW if seen else NOT_CHOSEN
+        if name in uncovered:
+            reason = f"{OUT_OF_SIGHT}: {known['reason']}" if known else OUT_OF_SIGHT
+        gaps.append(
+            {
+                "target": str(name),
+                "x": float(x),
+                "y": float(y),
+                "seen": int(seen),
+                "reason": reason,
+                **{key: _known(known.get(key)) for key in _DETAILS},
+            }
+        )
+    return gaps
 
 
 def _known(value: Any) -> float | None:

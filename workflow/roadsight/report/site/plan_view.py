@@ -15,8 +15,7 @@ from roadsight.report.site.options_view import is_soft, options_view, tolerance_
 from roadsight.report.site.page import IN_SIGHT
 from roadsight.report.wording import counted, metres, number, percent
 
-_COLOURED = 4
-"""Targets that are seen so often, or more often, have one colour on the map."""
+_COLOURED = 4  # Targets that are seen so often, or more often, have one colour on the map
 
 
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:
@@ -28,11 +27,21 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
     most = max(counts, default=0)
     dearest = max((plan["objective"] for plan in plans), default=0.0)
     first = best_plan(plans) if plans else None
-    return [
-        plan
-        | {
+
+    def native(x_m: float | None, y_m: float | None) -> list[float] | None:
+        return None if x_m is None else frame.to_native(np.array([x_m, y_m])).tolist()
+
+    views = []
+    for plan in plans:
+        models = Counter(sensor["sensor"] for sensor in plan["sensors"])
+        reasons = Counter(gap["reason"] for gap in plan["gaps"])
+        histogram = _histogram(plan["histogram"])
+        view = {
             "chosen": plan is first,
-            "models": _models(plan["sensors"], most),
+            "models": [
+                {"name": name, "count": models[name], "width": _width(models[name], most)}
+                for name in sorted(models)
+            ],
             "cost_width": _width(plan["objective"], dearest),
             "bound_width": _width(plan["bound"] or 0.0, dearest),
             "asked": options_view(plan),
@@ -41,16 +50,23 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "margins": margins_view(plan),
             "tolerances": tolerance_view(plan),
             "covered": plan["targets"] - len(plan["gaps"]),
-            "most_seen": max([1, *(count for _, count in _histogram(plan["histogram"]))]),
-            "histogram": _histogram(plan["histogram"]),
+            "most_seen": max([1, *(count for _, count in histogram)]),
+            "histogram": histogram,
             "reduced": _reductions(plan["reductions"]),
-            "gaps": [_gap(gap, frame) for gap in plan["gaps"]],
-            "reasons": _by_count(Counter(gap["reason"] for gap in plan["gaps"])),
+            "gaps": [
+                gap
+                | {
+                    "native": native(gap["x"], gap["y"]),
+                    "obstacle": native(gap["obstacle_x"], gap["obstacle_y"]),
+                }
+                for gap in plan["gaps"]
+            ],
+            "reasons": sorted(reasons.items(), key=lambda item: (-item[1], item[0])),
             "objects": [o | {"place": place_of_name(o["name"])} for o in plan["objects"]],
-            "obstacles": [o | {"native": _native(o, frame)} for o in plan["obstacles"]],
+            "obstacles": [o | {"native": native(o["x"], o["y"])} for o in plan["obstacles"]],
         }
-        for plan in plans
-    ]
+        views.append(plan | view)
+    return views
 
 
 def best_plan(plans: list[dict[str, Any]]) -> dict[str, Any]:
@@ -61,22 +77,9 @@ def best_plan(plans: list[dict[str, Any]]) -> dict[str, Any]:
     return min(plans, key=lambda p: (is_soft(p), len(p["sensors"]), len(p["gaps"])))
 
 
-def _models(sensors: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
-    """How many sensors of each model, in order of name, with the width of their bar."""
-    counts = Counter(sensor["sensor"] for sensor in sensors)
-    return [
-        {"name": name, "count": counts[name], "width": _width(counts[name], most)}
-        for name in sorted(counts)
-    ]
-
-
 def _width(value: float, largest: float) -> float:
     """Per cent of the longest bar."""
     return 0.0 if largest <= 0 else round(min(100 * value / largest, 100.0), 2)
-
-
-def _native(place: dict[str, Any], frame: Frame) -> list[float]:
-    return frame.to_native(np.array([place["x"], place["y"]])).tolist()
 
 
 def _histogram(counts: list[int]) -> list[tuple[str, int]]:
@@ -85,11 +88,6 @@ def _histogram(counts: list[int]) -> list[tuple[str, int]]:
         return [(str(times), count) for times, count in enumerate(counts)]
     rest = (f"{_COLOURED} or more", sum(counts[_COLOURED:]))
     return [*((str(times), counts[times]) for times in range(_COLOURED)), rest]
-
-
-def _by_count(counts: Counter[str]) -> list[tuple[str, int]]:
-    """Most frequent first, ties by name."""
-    return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
 
 
 def _reductions(counts: dict[str, int]) -> str:
@@ -104,17 +102,7 @@ def _reductions(counts: dict[str, int]) -> str:
     )
 
 
-def _gap(gap: dict[str, Any], frame: Frame) -> dict[str, Any]:
-    """A gap with native positions of the target and of its obstacle, if one is known."""
-    obstacle = None
-    if gap["obstacle_x"] is not None:
-        obstacle = _native({"x": gap["obstacle_x"], "y": gap["obstacle_y"]}, frame)
-    return gap | {"native": _native(gap, frame), "obstacle": obstacle}
-
-
 # What the report says of hand-over between sensors and of their data.
-
-_MEGA = 1e6
 
 
 def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
@@ -122,7 +110,14 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     found = plan.get("data")
     if found is None:
         return None
-    likely = _probable(found.get("probability"))
+    chances, likely = found.get("probability"), []  # where a sensor of the plan has a curve
+    if chances is not None and chances["targets"]:
+        alone = percent(chances["independent"]["least"])
+        likely = [
+            ("Weakest target is found by its best sensor with", percent(chances["least"])),
+            ("Targets are found by their best sensors with, mean", percent(chances["mean"])),
+            ("Weakest target is found with, if sensors miss independently", alone),
+        ]
     rows = [
         *likely,
         ("Targets seen by two sensors or more", percent(found["share_seen_by_two"])),
@@ -186,18 +181,6 @@ def _again(plan: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """How likely targets are found; nothing where no sensor of the plan has a curve."""
-    if found is None or not found["targets"]:
-        return []
-    alone = found["independent"]["least"]
-    return [
-        ("Weakest target is found by its best sensor with", percent(found["least"])),
-        ("Targets are found by their best sensors with, mean", percent(found["mean"])),
-        ("Weakest target is found with, if sensors miss independently", percent(alone)),
-    ]
-
-
 def _heights(found: dict[str, Any]) -> dict[str, Any]:
     """Chart and rows of what sensors measure of targets by height."""
     unit, bands = found["unit"], found["bands"]
@@ -227,8 +210,7 @@ def _metres(value: float | None) -> str:
 
 
 def _millions(value: float, unit: str) -> str:
-    """Nothing for none."""
-    return f"{number(value / _MEGA, 2)} million {unit}/s" if value else ""
+    return f"{number(value / 1e6, 2)} million {unit}/s" if value else ""
 
 
 # What the report says of how often targets are in sight past traffic.
@@ -249,34 +231,27 @@ def sight_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         rows.append(("Least, if sensors were hidden independently", percent(alone)))
         below = len(found["below"])
         rows.append(("Out of reach of the level", counted(below, "target") if below else "none"))
-    return {
-        "rows": rows,
-        "chart": _chart(found),
-        "text": _text(found),
-        "classes": _classes(plan["in_sight_counts"]),
-    }
-
-
-def _classes(counts: list[int]) -> list[tuple[str, int]]:
-    """Names of the map's classes of targets, and how many targets each has."""
+    text = "Share of the peak hour in which at least one sensor sees each target past the traffic"
+    if "level" in found:
+        text += (
+            ". Vehicles that hide a target from several sensors at once count as what they are: one"
+            " vehicle."
+        )
+    else:
+        text += (
+            ", if sensors are hidden independently. The plan asks this of each sensor alone; a plan"
+            " with the option availability asks it of all together."
+        )
+    # Names of the map's classes of targets.
     edges = [f"{100 * edge:g}" for edge in IN_SIGHT]
     between = [f"{low} to {high} %" for low, high in pairwise(edges)]
     names = [f"below {edges[0]} %, or unseen", *between, f"{edges[-1]} % and more"]
-    return list(zip(names, counts, strict=True))
-
-
-def _text(found: dict[str, Any]) -> str:
-    if "level" in found:
-        return (
-            "Share of the peak hour in which at least one sensor sees each target past the traffic."
-            " Vehicles that hide a target from several sensors at once count as what they are: one"
-            " vehicle."
-        )
-    return (
-        "Share of the peak hour in which at least one sensor sees each target past the traffic, if"
-        " sensors are hidden independently. The plan asks this of each sensor alone; a plan with"
-        " the option availability asks it of all together."
-    )
+    return {
+        "rows": rows,
+        "chart": _chart(found),
+        "text": text,
+        "classes": list(zip(names, plan["in_sight_counts"], strict=True)),
+    }
 
 
 def _chart(found: dict[str, Any]) -> str:

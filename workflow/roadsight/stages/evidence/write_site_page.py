@@ -25,10 +25,10 @@ from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, load_sensors
+from roadsight.report.packing import sample_mask, thin
 from roadsight.report.site.backdrops import Backdrop, backdrops
 from roadsight.report.site.layers import CloudSample, near_measured
 from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
-from roadsight.report.site.thinning import sample_mask, thin
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_site_page")
