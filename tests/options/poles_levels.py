@@ -199,7 +199,7 @@ def _measured(sites: Finished, name: str, *options: str, **files: str) -> pd.Dat
     return found
 
 
-@run_of("triangulation.method", "packing", "listing", "sweep")
+@run_of("triangulation.method", "packing", "sweep")
 def triangulation_method(sites: Finished, level: str) -> None:
     outputs = {
         "poles": f"poles-{level}", "layers": f"poles-{level}.gpkg",

@@ -10,16 +10,9 @@ from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.listing import (
-    Points,
-    choose_groups,
-    fit_groups,
-    follows_sequence,
-    locate_points,
-    merge_groups,
-)
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.noise import place_groups, stated_noise
+from roadsight.poles.triangulate.published import follows_sequence
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
     TriangulationSettings,
@@ -153,22 +146,6 @@ def test_depth_scale_is_found_from_the_crossings():
     assert explain_rays(rays_of(rows[:12]), calibrating).scale == 1.0
 
 
-def test_group_place_is_the_least_squares_place(rng):
-    _, rows = street(poles=2)
-    rays = rays_of(rows)
-    points = locate_points(rays, FINE)
-    members = np.array([[0, 1]])
-    fitted, _ = fit_groups(rays, points, members, FINE)
-
-    def misfit(place):
-        rest = points.place_m[[0, 1]] - place
-        return 0.5 * sum(r @ h @ r for r, h in zip(rest, points.information[[0, 1]], strict=True))
-
-    assert fitted.cost[0] == pytest.approx(misfit(fitted.place_m[0]))
-    for step in rng.normal(0, 0.1, (20, 2)):
-        assert misfit(fitted.place_m[0] + step) >= fitted.cost[0]
-
-
 def test_pairs_agree_with_all_pairs():
     _, rows = street()
     rays = rays_of(rows)
@@ -179,25 +156,6 @@ def test_pairs_agree_with_all_pairs():
         and 0.5 <= np.hypot(*(rays.camera_m[i] - rays.camera_m[j])) <= 60
     ]
     assert pair_rays(rays, FINE).tolist() == slow
-
-
-def is_packing(groups):
-    rays = [ray for group in groups for ray in group]
-    return len(set(rays)) == len(rays)
-
-
-def test_packing_agrees_with_every_choice(rng):
-    for _ in range(20):
-        members = [rng.choice(7, size=rng.integers(2, 4), replace=False) for _ in range(9)]
-        gain = rng.uniform(-1, 5, 9)
-        choices = (c for n in range(5) for c in itertools.combinations(range(9), n))
-        best = max(sum(gain[list(c)]) for c in choices if is_packing([members[n] for n in c]))
-        chosen = choose_groups(members, gain, 7)
-        assert gain[chosen].sum() == pytest.approx(best)
-        greedy = choose_groups(members, gain, 7, largest=0)
-        used = np.concatenate([members[c] for c in greedy])
-        assert len(set(used.tolist())) == len(used)
-        assert gain[greedy].sum() <= best + 1e-9
 
 
 def test_crossings_and_parallel_rays():
@@ -230,16 +188,6 @@ def test_sequence_rule():
     assert not follows_sequence(far, everyone, 7.0)
 
 
-def test_groups_within_their_errors_merge_but_not_across_one_image():
-    places = np.array([[0, 0], [0.2, 0], [0.4, 0], [0.5, 0.1]])
-    points = Points(places, np.repeat(np.eye(2)[None], 4, axis=0))
-    groups = [np.array([0, 1]), np.array([2, 3])]
-    rays = make_rays(np.column_stack([np.arange(4.0), np.zeros(4)]), [0] * 4, image=range(4))
-    assert [g.tolist() for g in merge_groups(rays, points, groups, FINE)] == [[0, 1, 2, 3]]
-    same = make_rays(rays.camera_m, rays.bearing_deg, image=[0, 1, 1, 2])
-    assert len(merge_groups(same, points, groups, FINE)) == 2
-
-
 def test_structures_withhold_poles():
     from scipy.spatial import cKDTree
 
@@ -265,7 +213,7 @@ def site_table(rows, kind="pole"):
     return pd.DataFrame(columns | {"kept": np.ones(n, bool)})
 
 
-@pytest.mark.parametrize("method", ["packing", "listing", "sweep"])
+@pytest.mark.parametrize("method", ["packing", "sweep"])
 def test_site_keeps_kinds_apart_and_names_images(method):
     _, rows = street(poles=3, noise_deg=0.05, noise_depth=0.02)
     both = pd.concat([site_table(rows), site_table(rows, "sign")], ignore_index=True)

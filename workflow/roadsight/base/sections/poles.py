@@ -236,9 +236,8 @@ class Columns(Section):
 class Triangulation(Section):
     """Poles: places from sightings."""
 
-    method: Literal["packing", "listing", "sweep"] = Field(
-        default="packing",
-        description="packing: by evidence; listing: all groups; sweep: as published",
+    method: Literal["packing", "sweep"] = Field(
+        default="packing", description="packing: by evidence; sweep: as published"
     )
     max_distance_m: Metres = Field(
         default=40.0, description="farther sightings are not used, m; not for sweep"
@@ -254,9 +253,6 @@ class Triangulation(Section):
     )
     pole_evidence: float = Field(
         default=3.0, ge=-10, le=50, description="log evidence that a pole needs beyond even odds"
-    )
-    pole_cost: Positive = Field(
-        default=5.0, description="listing: misfit that a pole must save, half units of chi squared"
     )
     min_views: int = Field(
         default=3, ge=2, description="views that a pole needs which the cloud does not show"

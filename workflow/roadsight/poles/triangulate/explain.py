@@ -309,7 +309,7 @@ _LONE = 0.5  # poles that a ray counts for which no pole took: it is a stray or 
 _RAYS_A_POLE = 4.0
 # Least standard deviation of the logarithm of strays' depths: few depths show too little of it.
 _LEAST_SPREAD = 0.3
-# Gate of a member over that of `listing`: evidence judges members itself, the gate saves time.
+# Times `gate_chi2`: evidence judges members itself, the gate saves time.
 _GATE = 1.5
 # Bounds of the sigma of a logarithm of depth: beyond one, a depth says nothing.
 _SIGMAS = (1e-3, 1.0)

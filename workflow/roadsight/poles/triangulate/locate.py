@@ -7,7 +7,6 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.listing import choose_listed
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
@@ -29,14 +28,13 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
 
     Parameters
     ----------
-    settings : their method is ``listing``: all groups, by their misfit alone, slower and less sure;
-        ``sweep``: the pole study's, which states no errors (NaN) and withholds nothing; else groups
-        by the evidence for them.
+    settings : their method is ``sweep``: the pole study's, which states no errors (NaN) and
+        withholds nothing; else groups by the evidence for them.
 
     Returns
     -------
     poles : one row each, columns `POLE_COLUMNS` and ``evidence`` (log odds that its rays show a
-        pole and not strays, NaN where listed), local metres; ``score`` is the number of views,
+        pole and not strays), local metres; ``score`` is the number of views,
         ``condition`` the ratio of the error ellipse's variances; poles too weak to use have
         ``kept`` False and a reason.
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
@@ -52,19 +50,12 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
         poles = poles.reset_index(drop=True).assign(**unknown, kept=True, reason="")
         poles = poles.assign(evidence=np.nan).astype({"kept": bool, "reason": object})
         return poles, rank[labels], 1.0
-    if settings.method == "listing":
-        groups, places, covariances, scale = choose_listed(rays, settings)
-        evidence = np.full(len(groups), np.nan)
-    else:
-        found = explain_rays(rays, settings)
-        groups, scale = found.groups, found.scale
-        places, covariances = found.place_m, found.covariance
-        evidence = found.gain + settings.pole_evidence
+    found = explain_rays(rays, settings)
     pole = np.full(len(rays), -1, np.int64)
-    for number, members in enumerate(groups):
+    for number, members in enumerate(found.groups):
         pole[members] = number
-    poles = describe_groups(groups, places, covariances, settings)
-    return poles.assign(evidence=evidence), pole, scale
+    poles = describe_groups(found.groups, found.place_m, found.covariance, settings)
+    return poles.assign(evidence=found.gain + settings.pole_evidence), pole, found.scale
 
 
 def describe_groups(

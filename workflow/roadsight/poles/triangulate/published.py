@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.triangulate.listing import follows_sequence
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
@@ -236,7 +235,7 @@ def merge_along_drive(
     for number, (one, other) in enumerate(pairs.tolist()):
         both = np.concatenate([members[one], members[other]])
         if one != other and len(set(rays.image[both].tolist())) == len(both):
-            same[number] = follows_sequence(rays, both, sequence_m, still_deg=0.0)
+            same[number] = follows_sequence(rays, both, sequence_m)
     graph = csr_array((np.ones(same.sum()), pairs[same].T), shape=(len(places_m),) * 2)
     count, merged = connected_components(graph, directed=False)
     sizes = np.array([len(own) for own in members], np.float64)
@@ -245,3 +244,21 @@ def merge_along_drive(
     joined = np.full(len(labels), -1, np.int64)
     joined[used] = merged[labels[used]]
     return joined, np.column_stack(means)
+
+
+def follows_sequence(rays: Rays, members: Ints, sequence_m: float) -> bool:
+    """Whether rays of one route show a pole that the vehicle comes nearer to and passes.
+
+    Consecutive images lie within ``sequence_m``, depths do not grow and bearings turn one way
+    (paper 2, section 3.4).
+    """
+    route, sequence = rays.route[members], rays.sequence[members]
+    if (route < 0).any() or len(set(route.tolist())) > 1 or (sequence < 0).any():
+        return False
+    members = members[np.argsort(sequence, kind="stable")]
+    steps_m = np.hypot(*np.diff(rays.camera_m[members], axis=0).T)
+    depth, bearing = rays.depth_m[members], rays.bearing_deg[members]
+    turns = (np.diff(bearing) + 180.0) % 360.0 - 180.0
+    one_way = (turns >= 0).all() or (turns <= 0).all()
+    nearer = bool((np.diff(depth[np.isfinite(depth)]) <= 0).all())
+    return bool((steps_m <= sequence_m).all() and one_way and nearer)

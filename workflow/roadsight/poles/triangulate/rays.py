@@ -28,7 +28,6 @@ class TriangulationSettings(Triangulation):
     calibrate_depth : whether the common scale of the depths is found from the rays themselves.
     gate_chi2 : a sighting further from its pole (chi squared, 2 degrees of freedom) is better left
         alone.
-    beam : of ``listing``: groups that are followed up for each sighting.
     """
 
     min_baseline_m: float = 0.5
@@ -36,7 +35,6 @@ class TriangulationSettings(Triangulation):
     sigma_depth_ratio: float = 0.3
     calibrate_depth: bool = True
     gate_chi2: float = 8.0
-    beam: int = 48
 
 
 # For cameras that a receiver alone placed, and not their alignment: places are less certain, and
