@@ -69,7 +69,7 @@ def read_samples(
             )
         for name in names:
             stem = Path(folder) / name.removesuffix(".depth.png")
-            parts = []
+            parts: list[Any] = []
             for path in (f"{stem}.{part}.png" for part in _PARTS):
                 pixels = cv2.imread(path, cv2.IMREAD_UNCHANGED)
                 if pixels is None:

@@ -305,9 +305,9 @@ def _scenarios(measured: Measured) -> list[dict[str, Any]]:
             known = [abs(error[key]) for error in way["errors"] if error.get(key) is not None]
             values.append(float(np.quantile(known, 0.75)) if known else None)
         found.append(_row("poles", "Fig. 12", "Route", quantity, quantity, "m", theirs_m, *values))
-    means = (way["mean_m"] for way in ways)
-    about = "poles", "Fig. 12", "Route", "mean error", "mean error", "m"
-    found.append(_row(*about, published.MEAN_M, *means))
+    mean_m = [way["mean_m"] for way in ways]
+    place = "poles", "Fig. 12", "Route", "mean error", "mean error", "m"
+    found.append(_row(*place, published.MEAN_M, *mean_m))
     return found
 
 

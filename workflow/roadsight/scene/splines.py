@@ -132,9 +132,9 @@ def _open_ends(
     strips = []  # number and median height (NaN if none) of ground points in each knot's box
     for start in (-1, 0, 1):
         near = knots + start * width * normal
-        far, half = width * normal, 0.5 * settings.knot_spacing_m * tangent
-        corners = np.stack([near - half, near + half, near + half + far, near - half + far], axis=1)
-        box, point = tree.query(shapely.polygons(corners), predicate="intersects")
+        wide, half = width * normal, 0.5 * settings.knot_spacing_m * tangent
+        corners = [near - half, near + half, near + half + wide, near - half + wide]
+        box, point = tree.query(shapely.polygons(np.stack(corners, axis=1)), predicate="intersects")
         heights = pd.Series(z_m[point]).groupby(box).median()
         number = np.bincount(box, minlength=len(knots))
         strips.append((number, heights.reindex(range(len(knots))).to_numpy()))

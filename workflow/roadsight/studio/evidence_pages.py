@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 
@@ -56,7 +56,7 @@ def frontiers(results: Path) -> dict[str, Any]:
         table = pd.read_csv(path)
         groups = table.groupby(["job", "knob"], sort=False)
         studies = [
-            {"job": job, "knob": knob, "views": measure_views(part.to_dict("records"))}
+            {"job": job, "knob": knob, "views": measure_views(cast(Any, part.to_dict("records")))}
             for (job, knob), part in groups
         ]
     except (ValueError, KeyError, TypeError, StopIteration) as error:

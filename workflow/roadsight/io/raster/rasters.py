@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import with_heights
 from roadsight.geometry.frames import Frame
@@ -32,12 +32,15 @@ class Raster:
     values : float32, shape (rows, columns), rows from north to south; NaN where nothing is known.
     west_m, north_m : outer corner of cell (0, 0).
     cell_size_m : edge of a cell.
+    measured : shape (rows, columns), False where a value was filled from around; None where the
+        raster does not tell.
     """
 
     values: Floats32
     west_m: float
     north_m: float
     cell_size_m: float
+    measured: Bools | None = None
 
     def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Values at places, bilinear between cell centres.
@@ -136,6 +139,8 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
             pixels = raster.read(1).astype(np.float64)
             transform, nodata = raster.transform, raster.nodata
             content = raster.tags().get(_CONTENT)
+            bands = raster.descriptions
+            measured = raster.read(2) == 1 if _MEASURED in bands[1:2] else None
     except (RasterioError, OSError, ValueError) as error:
         raise InputError(f"cannot be read as a raster ({error})", where=str(path)) from error
     if content != _HEIGHT:
@@ -147,7 +152,7 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
     # Corners and cells come back to the digit, so that grids of one site still coincide.
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
-    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m)
+    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m, measured)
 
 
 def crs_wkt(frame: Frame) -> str | None:

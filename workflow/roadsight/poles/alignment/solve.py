@@ -134,9 +134,9 @@ class Task:
     prior_information: Floats
     landmarks: Landmarks | None = None
     matched: MatchedLandmarks | None = None
-    scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    scene: tuple[Floats, Any, Ints] = field(init=False, repr=False, compare=False)
     coarse: ImageEdges = field(init=False, repr=False, compare=False)
-    coarse_scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    coarse_scene: tuple[Floats, Any, Ints] = field(init=False, repr=False, compare=False)
 
     @property
     def origin_m(self) -> Floats:
@@ -168,7 +168,7 @@ class Task:
         object.__setattr__(self, "coarse", self.image_edges.thinned(80))
         object.__setattr__(self, "coarse_scene", self._scene(few))
 
-    def _scene(self, map_edges: NearEdges) -> tuple[Any, ...]:
+    def _scene(self, map_edges: NearEdges) -> tuple[Floats, Any, Ints]:
         edges = (
             np.ascontiguousarray(map_edges.xyz_m - self.origin_m),
             np.ascontiguousarray(map_edges.along),

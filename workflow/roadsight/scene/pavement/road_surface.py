@@ -515,8 +515,8 @@ def _seeds(
         grid = ground.cells.grid
         cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
         said = np.bincount(cell, known.road, minlength=grid.rows * grid.columns).reshape(grid.shape)
-        said = opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0)
-        found["classes"] = said & flat
+        mostly = ndimage.binary_closing(said > ground.cells.count / 2)
+        found["classes"] = opened(mostly, 2.0) & flat
     if known.track_xy is not None and len(known.track_xy):
         found["track"] = _along_track(ground, flat, known.track_xy)
     if known.core is not None:

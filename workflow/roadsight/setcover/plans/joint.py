@@ -197,7 +197,8 @@ class _Joint:
                 if not found:
                     break
                 self.cuts += found
-                helps = np.bincount(np.concatenate(found), minlength=len(problem.costs))
+                counts = np.bincount(np.concatenate(found), minlength=len(problem.costs))
+                helps = counts.astype(np.float64)
             helps = helps / problem.costs
             helps[np.isin(problem.groups, problem.groups[taken])] = 0.0
             choice = int(np.argmax(helps))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
@@ -145,7 +145,7 @@ def scan_directions(sensor: AimedSensor) -> Floats:
 
 
 def rosette_directions(
-    sensor: Rosette, phases_rad: tuple[float, float] | NDArray = (0.0, 0.0)
+    sensor: Rosette, phases_rad: tuple[float, float] | Floats = (0.0, 0.0)
 ) -> Floats:
     """The points of one frame in their order, lasers in turn.
 

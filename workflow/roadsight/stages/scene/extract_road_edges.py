@@ -233,7 +233,7 @@ def _planes(place: Floats, height_m: Floats32, road: Bools, radius_cells: int) -
     apart = np.where(valid, z - middle[:, None], 0.0)
     weight = (valid & (np.abs(apart) <= _FAR_M)).astype(np.float64)
     plane = _planes_through(weight, apart, offsets)
-    return middle + plane[:, 0] + (plane[:, 1:] * (place - nearest)).sum(axis=1)
+    return np.asarray(middle + plane[:, 0] + (plane[:, 1:] * (place - nearest)).sum(axis=1))
 
 
 def _planes_through(weight: Floats, height: Floats, offsets: Ints) -> Floats:

@@ -67,7 +67,7 @@ def highs_cover(matrix: sparse.csr_matrix, costs: Floats) -> tuple[float, float]
     HiGHS limits time by the clock; on one thread that is its processor time or more.
     """
     choices, targets = matrix.shape
-    highs = highspy.Highs()
+    highs = highspy.Highs()  # type: ignore[no-untyped-call]
     highs.silent()
     for name, value in (("time_limit", LIMIT_S), ("threads", 1), ("mip_abs_gap", 0.999)):
         highs.setOptionValue(name, value)

@@ -95,7 +95,8 @@ def looked_up(range_m: Floats32, beams_m: Floats) -> Floats:
     step = 360.0 / columns
     column = np.rint((azimuth - SCANNER.azimuth_deg[0]) / step).astype(np.int64) % columns
     borders = (SCANNER.elevation_deg[1:] + SCANNER.elevation_deg[:-1]) / 2
-    return np.asarray(range_m, np.float64)[np.searchsorted(borders, elevation), column]
+    cells = np.asarray(range_m, np.float64)[np.searchsorted(borders, elevation), column]
+    return np.asarray(cells)
 
 
 def median_in_cone(map_m: Floats, beams_m: Floats) -> Floats:
