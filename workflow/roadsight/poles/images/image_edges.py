@@ -82,9 +82,8 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     settings = settings or EdgeTracing()
     # The road without specks and without small holes, 0 or 1.
     smallest = max((settings.min_border_px * scale_of(len(mask))) ** 2, 4.0)
-    road = 1 - without_specks(
-        1 - without_specks(np.asarray(cv2.LUT(mask, _ROAD), np.uint8), smallest), smallest
-    )
+    road = np.asarray(cv2.LUT(mask, _ROAD), np.uint8)
+    road = 1 - without_specks(1 - without_specks(road, smallest), smallest)
     span = _road_span(road)
     markings = centre_lines(mask == PixelClass.MARKING, settings.min_marking_px)
     axes = middle_lines(markings, span, mask.shape[0], settings)

@@ -186,6 +186,7 @@ class _Joint:
         taken = [int(choice) for choice in chosen]
         given = problem.given(chosen)
         while True:
+            helps: Floats
             lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
             short = np.flatnonzero(lack > 0)
             if len(short):  # what each choice adds
