@@ -119,6 +119,8 @@ def command_with(name):
 
 
 rule step:
+    log:
+        "logs/step.log",
     conda:
         ENVIRONMENT
     params:

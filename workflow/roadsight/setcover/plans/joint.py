@@ -186,7 +186,6 @@ class _Joint:
         taken = [int(choice) for choice in chosen]
         given = problem.given(chosen)
         while True:
-            helps: Floats
             lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
             short = np.flatnonzero(lack > 0)
             if len(short):  # what each choice adds
@@ -209,8 +208,8 @@ class _Joint:
             given = problem.given(np.array(taken, np.int64))
         for choice in sorted(taken, key=lambda one: (-problem.costs[one], one)):
             fewer = np.array(sorted(set(taken) - {choice}), np.int64)
-            short = problem.need * (1 - TOLERANCE) - problem.given(fewer)
-            if short.max(initial=-1.0) <= 0 and not self.oracle(fewer):
+            lacks = problem.need * (1 - TOLERANCE) - problem.given(fewer)
+            if lacks.max(initial=-1.0) <= 0 and not self.oracle(fewer):
                 taken = fewer.tolist()
         return np.array(sorted(taken), np.int64)
 
