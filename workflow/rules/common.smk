@@ -118,18 +118,6 @@ def command_with(name):
     )
 
 
-rule step:
-    log:
-        "logs/step.log",
-    conda:
-        ENVIRONMENT
-    params:
-        command=command,
-        settings="",
-    shell:
-        STEP
-
-
 def told(*sections, **values):
     """Settings of a stage as options, in one parameter, which Snakemake compares.
 

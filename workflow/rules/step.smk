@@ -1,0 +1,13 @@
+"""What all rules share: one line runs every stage. No step by itself."""
+
+
+rule step:
+    log:
+        "logs/step.log",
+    conda:
+        ENVIRONMENT
+    params:
+        command=command,
+        settings="",
+    shell:
+        STEP
