@@ -81,34 +81,42 @@ def package_page(folder: Path, package: Path) -> str:
 
 
 def _module(file: Path, name: str) -> Iterator[str]:
-    tree = _tree(file)
+    source = file.read_text("utf-8")
+    tree = ast.parse(source)
     yield f"## {name}\n\n"
     yield prose(ast.get_docstring(tree) or "")
-    for definition, text in _public(tree.body):
-        yield _entry(definition, text, "###")
+    lines = source.splitlines()
+    for definition, text in _public(tree.body, lines):
+        yield _entry(definition, text, "###", lines)
 
 
 def _tree(file: Path) -> ast.Module:
     return ast.parse(file.read_text("utf-8"))
 
 
-def _public(body: Iterable[ast.stmt]) -> Iterator[tuple[Definition, str]]:
-    """Public definitions that have a docstring; that of a constant stands behind it."""
-    statements = list(body)
-    for statement, after in zip(statements, [*statements[1:], None], strict=True):
+def _public(body: Iterable[ast.stmt], lines: list[str]) -> Iterator[tuple[Definition, str]]:
+    """Public definitions that have a docstring, or a comment if they are constants."""
+    for statement in body:
         if isinstance(statement, ast.FunctionDef | ast.ClassDef):
             text = ast.get_docstring(statement) or ""
         elif isinstance(statement, ast.Assign | ast.AnnAssign):
-            text = _string(after)
+            text = _comment(statement, lines)
         else:
             continue
         if text and not _label(statement).startswith("_"):
             yield statement, text
 
 
-def _string(statement: ast.stmt | None) -> str:
-    value = statement.value if isinstance(statement, ast.Expr) else None
-    return value.value if isinstance(value, ast.Constant) and isinstance(value.value, str) else ""
+def _comment(statement: ast.Assign | ast.AnnAssign, lines: list[str]) -> str:
+    """Comment behind a statement, or else above it."""
+    assert statement.end_lineno and statement.end_col_offset
+    last = lines[statement.end_lineno - 1].encode()[statement.end_col_offset :].decode().strip()
+    if last.startswith("#"):
+        return last.lstrip("# ")
+    first = statement.lineno - 1
+    while first and lines[first - 1].lstrip().startswith("#"):
+        first -= 1
+    return " ".join(line.strip().lstrip("# ") for line in lines[first : statement.lineno - 1])
 
 
 def _label(definition: Definition) -> str:
@@ -118,12 +126,12 @@ def _label(definition: Definition) -> str:
     return ast.unparse(target)
 
 
-def _entry(definition: Definition, text: str, level: str) -> str:
+def _entry(definition: Definition, text: str, level: str, lines: list[str]) -> str:
     parts = [f"{level} {_label(definition)}\n\n", f"```python\n{signature(definition)}\n```\n\n"]
     parts.append(prose(text))
     if isinstance(definition, ast.ClassDef):
-        for inner, inner_text in _public(definition.body):
-            parts.append(_entry(inner, inner_text, level + "#"))
+        for inner, inner_text in _public(definition.body, lines):
+            parts.append(_entry(inner, inner_text, level + "#", lines))
     return "".join(parts)
 
 
