@@ -35,7 +35,6 @@ OTHER = {
     "stages/scene/rasterise_lidar.py": ("reach_m", "of a place to pavement"),
     "scene/pavement/road_surface.py": ("window_m", "of a surface's own roughness"),
     "stages/scene/build_dem.py": ("points", "that were compared"),
-    "scene/terrain/tin.py": ("reach_m", "of a camera's sight"),
     "setcover": (
         "gap at_least patience NEIGHBOURS PATIENCE",
         "of a library that knows no settings: the best cover, each target once, without an end",

@@ -580,9 +580,25 @@ def test_the_published_triangulation_is_scored_like_ours(site, tmp_path):
     signs = table.assign(kind="sign", depth_m=5.0)
     scores = []
     for rows in (table, pd.concat([table, signs], ignore_index=True)):
-        write_table(tmp_path / "sightings.parquet", rows)
+        write_table(variant._path("sightings"), rows)
         scores.append(variant._published(1))
     assert scores[0] == scores[1] and scores[0]["poles"] >= 1
+
+
+def test_variants_share_what_their_component_does_not_change(tmp_path):
+    def named(component: str) -> dict[str, str]:
+        variant = compare_components._Variant.__new__(compare_components._Variant)
+        variant._without, variant._folder = component, tmp_path
+        names = ("calibration", "cameras", "sightings", "sightings-0", "poles")
+        return {name: variant._path(name).name.partition("-")[0] for name in names}
+
+    assert set(named("all").values()) == {"all"}
+    for component in ("deterministic_mrf", "grouping_by_evidence"):
+        assert [n for n, of in named(component).items() if of == component] == ["poles"]
+    assert named("lidar_bearing")["cameras"] == "all"
+    assert named("lidar_bearing")["sightings-0"] == "lidar_bearing"
+    assert named("alignment")["calibration"] == "all" != named("alignment")["cameras"]
+    assert set(named("side_views").values()) == {"side_views"}
 
 
 def test_validation(site, poles):
