@@ -222,7 +222,7 @@ def vegetation(sites: Finished, level: str) -> None:
     cloud.classification = np.where(np.abs(cloud.y) > 9.0, 5, 1).astype(np.uint8)
     cloud.write(job.path("green.laz"))
     local = ("--site", "street", "--crs", "local", "--units", "metre", "--vertical-units", "metre")
-    named = (*local, job.path("green.laz"))
+    named = (*local, "--clouds", job.path("green.laz"))
     assert job._run("ingest_cloud", named, {"cloud": "green", "frame": "green-frame"}) == 0
     usual, found = _surfels(sites, "--vegetation", level, cloud="green")
     assert (found < 0.9 * usual) == (level == "leave_out")
