@@ -129,7 +129,8 @@ def near_and_far(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFr
         return poles, own, scale
     more, own_all, _ = triangulate(rays, settings)
     known = np.isin(np.arange(len(more)), own_all[own >= 0])
-    added = (own_all >= 0) & ~known[own_all]
+    added = own_all >= 0
+    added[added] = ~known[own_all[added]]
     own[added] = (np.cumsum(~known) - 1 + len(poles))[own_all[added]]
     found = pd.concat([table for table in (poles, more[~known]) if len(table)] or [poles])
     order = np.lexsort([found["y"], found["x"]])
