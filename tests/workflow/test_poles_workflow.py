@@ -171,17 +171,18 @@ SETTINGS = [
     ("hazard: {section_every_m: 50}", after("rate_hazard")),
 ]
 MODULES = [
-    ("poles/images/lanes.py", after("trace_image_edges")),
-    ("poles/triangulate/packing.py", after("triangulate_poles")),
-    ("poles/risk/hazard.py", after("rate_hazard")),
-    ("stages/poles/shared/hazard_layers.py", after("rate_hazard")),
-    ("scene/terrain/tin.py", after("build_terrain")),
-    ("poles/images/plumb_line.py", after("profile_drive")),
-    ("poles/images/straightening.py", after("calibrate_drive")),
-    ("effects/quantities.py", after("plan_effects")),
-    ("poles/alignment/published.py", after("align_cameras")),
-    ("synthetic/rendering/rendering_look.py", after("render_videolog")),
-    ("commands/triangulate.py", set()),
+    ("roadsight/poles/images/lanes.py", after("trace_image_edges", "measure_poles")),
+    ("roadsight/poles/triangulate/site.py", after("triangulate_poles")),
+    ("roadsight/poles/risk/hazard.py", after("rate_hazard")),
+    ("roadsight/stages/poles/shared/hazard_layers.py", after("rate_hazard")),
+    # The profile measures how much of the road the terrain hides.
+    ("roadsight/scene/terrain/tin.py", after("build_terrain", "plan_effects") | {"profile_drive"}),
+    ("roadsight/poles/images/plumb_line.py", after("profile_drive")),
+    ("roadsight/poles/calibration/calibration_landmarks.py", after("calibrate_drive")),
+    ("roadsight/effects/quantities.py", after("plan_effects")),
+    ("roadsight/poles/alignment/published.py", after("align_cameras")),
+    ("roadsight_worlds/rendering/rendering_look.py", after("render_videolog")),
+    ("roadsight/commands/triangulate.py", set()),
 ]
 
 
@@ -197,7 +198,7 @@ def check(checkout: Checkout, expected: set[str]) -> None:
 
 def remark(checkout: Checkout, module: str) -> None:
     """Edit a module without changing what it does."""
-    path = checkout.folder / "workflow/roadsight" / module
+    path = checkout.folder / "workflow" / module
     path.write_text(path.read_text() + "\n# a remark\n")
 
 
@@ -219,7 +220,7 @@ def test_editing_a_module_re_runs_its_users_only(copy_of_road, module, expected)
 
 
 def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "stages/poles/trace_pole_axes.py")
+    remark(copy_of_road, "roadsight/stages/poles/trace_pole_axes.py")
     assert "trace_pole_axes" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "alignment: {landmarks: skip}")
     assert "calibrate_drive" in jobs
@@ -227,7 +228,7 @@ def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
 
 
 def test_skipped_ties_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "stages/poles/match_images.py")
+    remark(copy_of_road, "roadsight/stages/poles/match_images.py")
     assert "match_images" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "alignment: {ties: skip}")
     assert "calibrate_drive" in jobs
@@ -255,7 +256,7 @@ def test_decisions_are_measured_and_told(finished_road):
 
 
 def test_skipped_terrain_is_not_triangulated(copy_of_road):
-    remark(copy_of_road, "scene/terrain/tin.py")
+    remark(copy_of_road, "roadsight/scene/terrain/tin.py")
     assert "build_terrain" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "effects: {terrain_occlusion: skip}")
     assert "calibrate_drive" in jobs

@@ -172,7 +172,7 @@ def after(*rules: str) -> set[str]:
 
 
 SITE = "config/sites/tiny.yaml"
-PACKAGE = "workflow/roadsight"
+PACKAGE = "workflow"
 SETTINGS = [
     ("  shards: 2\n", "  shards: 2\n  ground: {dem_cell_m: 0.6}\n", after("build_dem")),
     ("  shards: 2\n", "  shards: 2\n  pavement: {neighbours: 12}\n", after("cluster_fpfh")),
@@ -239,16 +239,19 @@ SETTINGS = [
     ("title: Sixty", "title: Seventy", after("write_site_page", "write_handover")),
 ]
 MODULES = [
-    ("scene/pavement/fpfh.py", after("cluster_fpfh")),
-    ("effects/quantities.py", after("plan_effects")),
-    ("scene/pavement/outline.py", after("extract_pavement")),
-    ("placement/sight/obstacles.py", after("find_obstacles")),
-    ("evidence/pavement_scores.py", after("score_pavement")),
-    ("placement/candidates/candidates.py", after("place_candidates", "densify_candidates")),
-    ("synthetic/highway/highway.py", after("generate_sample")),
-    ("commands/ground.py", set()),
+    ("roadsight/scene/pavement/fpfh.py", after("cluster_fpfh")),
+    ("roadsight/effects/quantities.py", after("plan_effects")),
+    ("roadsight/scene/pavement/outline.py", after("extract_pavement")),
+    ("roadsight/placement/sight/obstacles.py", after("find_obstacles")),
+    ("roadsight/evidence/pavement_scores.py", after("score_pavement")),
+    (
+        "roadsight/placement/candidates/candidates.py",
+        after("place_candidates", "densify_candidates"),
+    ),
+    ("roadsight_worlds/highway/highway.py", after("generate_sample")),
+    ("roadsight/commands/ground.py", set()),
     # The report explains each setting in the schema's words; nothing else reads the schema.
-    ("config/schema.py", after("write_pdf")),
+    ("roadsight/config/schema.py", after("write_pdf")),
 ]
 
 

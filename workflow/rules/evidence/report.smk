@@ -11,7 +11,7 @@ use rule step as match_inputs with:
     input:
         frame=rules.ingest_cloud.output.frame,
         frames=frames_of_lists,
-        files=listed_files,
+        listed_files=listed_files,
         code=sources("match_inputs"),
     output:
         doubts="results/{site}/doubts/match_inputs.json",

@@ -329,10 +329,12 @@ def if_robust(files):
 
 def air_of_site(wildcards):
     """What rain and fog take out of beams, where they are simulated."""
-    return [
-        *placement_effect("rain", "rain.json")(wildcards),
-        *placement_effect("fog", "fog.json")(wildcards),
-    ]
+    files = []
+    for effect in ("rain", "fog"):
+        # The one that waits for the profile does not hide the one that a site decides itself.
+        waited = after_profile(effect)(wildcards)
+        files += waited or placement_effect(effect, f"{effect}.json")(wildcards)
+    return files
 
 
 def by_cells(wildcards):

@@ -1,19 +1,15 @@
-"""Surfels as a table (x, y, z, nx, ny, nz, half_m in float32), and triangulated terrain."""
+"""Surfels as a table (x, y, z, nx, ny, nz, half_m in float32)."""
 
 from __future__ import annotations
 
 import os
-import zipfile
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.scene.surfels import Surfels
-from roadsight.scene.terrain.tin import Terrain
 
 _CENTRE = ["x", "y", "z"]
 _NORMAL = ["nx", "ny", "nz"]
@@ -40,34 +36,3 @@ def read_surfels(path: str | os.PathLike[str]) -> Surfels:
     frame = read_table(path, [*_CENTRE, *_NORMAL, "half_m"])
     centre_m, normal = frame[_CENTRE].to_numpy(np.float32), frame[_NORMAL].to_numpy(np.float32)
     return Surfels(centre_m, normal, frame["half_m"].to_numpy(np.float32))
-
-
-def write_terrain(path: str | os.PathLike[str], terrain: Terrain) -> None:
-    """Write ``vertices`` and ``triangles``; the same terrain gives the same bytes."""
-    with atomic_path(path) as temporary:
-        np.savez_compressed(temporary, vertices=terrain.vertices, triangles=terrain.triangles)
-
-
-def read_terrain(path: str | os.PathLike[str]) -> Terrain:
-    """Read what `write_terrain` wrote.
-
-    Raises
-    ------
-    InputError : the file is missing or damaged.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            vertices, triangles = archive["vertices"], archive["triangles"]
-        if (
-            vertices.shape[1:] != (3,)
-            or triangles.shape[1:] != (3,)
-            or (triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices))
-        ):
-            raise ValueError("its arrays do not belong together")
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"cannot be read as a terrain ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
-    return Terrain(vertices, triangles)

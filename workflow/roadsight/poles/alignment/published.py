@@ -24,7 +24,7 @@ from roadsight.base.kernels import compiled
 from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.geometry.cameras import attitude_deg, cam_from_world
 from roadsight.poles.alignment.pose import FOCAL
-from roadsight.poles.images.lanes import scale_of
+from roadsight.poles.images.views import scale_of
 
 FOOT_M = 0.3048
 # Range of the LiDAR edge points that are compared (authors' code)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import EdgeTracing
+from roadsight.poles.images.views import scale_of
 
-PUBLISHED_HEIGHT_PX = 1200  # Height of the study's images, for which its thresholds in pixels hold
 _MAX_MIDDLE_LINES = 4  # Middle lines that are taken out at most; a double line has two
 # Where a middle line lies, as a share of the road's width from the left
 _MIDDLE_THIRD = (0.35, 0.65)
@@ -225,8 +225,3 @@ def _straight(points: Floats, tolerance_px: float) -> tuple[float, float, float]
         solution = np.linalg.lstsq(basis * root[:, None], u * root, rcond=None)[0]
         weights = 1.0 / np.maximum(np.abs(u - basis @ solution), 0.1 * tolerance_px)
     return float(solution[0]), float(solution[1]), middle
-
-
-def scale_of(height_px: int) -> float:
-    """Pixels of an image in one pixel of the published size, in which settings are stated."""
-    return height_px / PUBLISHED_HEIGHT_PX

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.kinds import KINDS, PixelClass
-from roadsight.poles.images.lanes import scale_of
+from roadsight.poles.images.views import scale_of
 
 # Classes that hide a foot where they lie below it; plants may be grass, and are told apart
 _HIDERS = (

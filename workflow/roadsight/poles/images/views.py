@@ -19,6 +19,8 @@ from roadsight.base.shards import Shard
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.geometry.lens import RadialLens
 
+# Height of the second study's images, for which settings and thresholds in pixels hold
+PUBLISHED_HEIGHT_PX = 1200
 ViewName = Literal["front", "left", "right"]
 # Views in the order in which they are looked at
 VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
@@ -40,6 +42,11 @@ class View:
     view: str
     path: str
     name: str
+
+
+def scale_of(height_px: int) -> float:
+    """Pixels of an image in one pixel of the published size, in which settings are stated."""
+    return height_px / PUBLISHED_HEIGHT_PX
 
 
 def view_name(image: str, view: str = "front") -> str:

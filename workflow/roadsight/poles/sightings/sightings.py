@@ -14,8 +14,8 @@ from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.images.lanes import PUBLISHED_HEIGHT_PX
 from roadsight.poles.images.pole_masks import Instance, find_instances, published_instances
+from roadsight.poles.images.views import PUBLISHED_HEIGHT_PX
 from roadsight.poles.sightings.distances import (
     HeightAt,
     behind_plants,

@@ -67,7 +67,7 @@ from roadsight.poles.alignment.verdict import (
 from roadsight.poles.calibration.calibration import implausible
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
 from roadsight.poles.drive.videolog import moving
-from roadsight.poles.images.lanes import scale_of
+from roadsight.poles.images.views import scale_of
 from roadsight.stages.command import Command, logged
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.stages.poles.shared.dense_inputs import (

@@ -16,7 +16,6 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.surfaces import read_terrain
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.placement.sensors.light import rise_m
 from roadsight.poles.alignment.dense import GivenLens
@@ -34,7 +33,7 @@ from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise
 from roadsight.poles.calibration.calibration import Loader
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.scene.terrain.tin import TerrainSight
+from roadsight.scene.terrain.tin import TerrainSight, read_terrain
 
 _FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
 """Columns of the frames that are read."""
