@@ -28,8 +28,9 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
 from roadsight.io.records.sighting_tables import write_csv
 from roadsight.io.records.tables import write_table
+from roadsight.io.records.terrain import write_terrain
 from roadsight.io.vector.vectors import write_geojson, write_layers
-from roadsight.scene.terrain.tin import Terrain, write_terrain
+from roadsight.scene.terrain.tin import Terrain
 from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.scene.ingest_cloud import ingest
 from roadsight.stages.scene.rasterise_lidar import VoxelTableWriter

@@ -21,8 +21,8 @@ from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.tables import read_about, read_table
+from roadsight.io.records.terrain import read_terrain
 from roadsight.io.vector.vectors import read_layer
-from roadsight.scene.terrain.tin import read_terrain
 from tests.faults.disturb import Disturbed, check_same, digests
 
 FRAME = Frame((0.0, 0.0, 0.0))

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 import shlex
@@ -23,6 +24,7 @@ from roadsight.base.sections.placement import Cover
 from roadsight.base.sections.poles import Voxels
 from roadsight.base.sections.scene import Pavement
 from roadsight.config.schema import Settings
+from roadsight.io.records.sources import stage_module
 from tests.conftest import PROJECT
 
 TARGETS = ("all", "audit", "hardcases", "paper", "paper_long", "tradeoffs", "truth")
@@ -103,6 +105,44 @@ def test_every_rule_and_its_stage_have_the_same_names(commands):
         parser = importlib.import_module(module).main.parser()
         for line in lines:
             parser.parse_args(line)
+
+
+LISTED = """
+import json
+from pathlib import Path
+from snakemake.api import SnakemakeApi
+from snakemake.settings.types import OutputSettings, ResourceSettings
+
+with SnakemakeApi(OutputSettings()) as api:
+    opened = api.workflow(resource_settings=ResourceSettings(), snakefile=Path("Snakefile"))
+    loaded = opened._workflow
+    awaited = loaded.globals["AWAITED"]
+    names = {
+        rule.name: [
+            *(n for n in rule.input.keys() if n not in awaited and not n.endswith("_files")),
+            *rule.output.keys(),
+        ]
+        for rule in loaded.rules
+        if "code" in rule.input.keys()
+    }
+print(json.dumps(names))
+"""
+
+
+def test_a_stage_takes_every_input_and_output_of_its_rule():
+    """Also those that no site of the dry-runs has, as lists that a user gives."""
+    done = subprocess.run(
+        [sys.executable, "-c", LISTED], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    rules = json.loads(done.stdout.splitlines()[-1])
+    unknown = {}
+    for rule, names in rules.items():
+        parser = importlib.import_module(stage_module(rule)).main.parser()
+        options = {option for action in parser._actions for option in action.option_strings}
+        if missing := {f"--{name.replace('_', '-')}" for name in names} - options:
+            unknown[rule] = missing
+    assert len(rules) >= 80
+    assert not unknown
 
 
 def test_no_stage_writes_the_default_of_a_setting_again(commands):

@@ -13,16 +13,15 @@ from hypothesis import strategies as st
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.records.tables import write_table
+from roadsight.io.records.terrain import read_terrain, write_terrain
 from roadsight.scene.terrain.tin import (
     Terrain,
     TerrainSight,
     add_cells,
     cell_means,
-    read_terrain,
     sum_cells,
     triangulate,
     visible,
-    write_terrain,
 )
 from roadsight.stages.scene import build_terrain
 

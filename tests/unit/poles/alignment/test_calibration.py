@@ -10,6 +10,7 @@ from roadsight.base.sections.poles import Calibration, Reach
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
+from roadsight.io.records.terrain import write_terrain
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import loader, near_edges, places_of
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, SIZE, Spread
@@ -23,7 +24,7 @@ from roadsight.poles.calibration.calibration import (
     weak_mount,
 )
 from roadsight.poles.calibration.calibration_table import baseline_mount, from_content, to_content
-from roadsight.scene.terrain.tin import Terrain, write_terrain
+from roadsight.scene.terrain.tin import Terrain
 from roadsight.stages.poles import align_cameras, calibrate_drive
 from tests.helpers.road_bed import Mount as BedMount
 from tests.helpers.road_bed import RoadBed, edge_table, frames_of

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +15,6 @@ from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.ray_casting import RayScene
-from roadsight.io.records.atomic import atomic_path
 
 # Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions.
 _UNITS_PER_M = 10_000
@@ -119,37 +116,6 @@ def triangulate(points_m: Floats, longest_m: float) -> Terrain:
     triangles = triangles[rows, (start[:, None] + np.arange(3)) % 3]
     triangles = triangles[np.lexsort(triangles.T[::-1])].astype(np.int32)
     return Terrain(points_m[used], triangles)
-
-
-def write_terrain(path: str | os.PathLike[str], terrain: Terrain) -> None:
-    """Write ``vertices`` and ``triangles``; the same terrain gives the same bytes."""
-    with atomic_path(path) as temporary:
-        np.savez_compressed(temporary, vertices=terrain.vertices, triangles=terrain.triangles)
-
-
-def read_terrain(path: str | os.PathLike[str]) -> Terrain:
-    """Read what `write_terrain` wrote.
-
-    Raises
-    ------
-    InputError : the file is missing or damaged.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            vertices, triangles = archive["vertices"], archive["triangles"]
-        if (
-            vertices.shape[1:] != (3,)
-            or triangles.shape[1:] != (3,)
-            or (triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices))
-        ):
-            raise ValueError("its arrays do not belong together")
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"cannot be read as a terrain ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
-    return Terrain(vertices, triangles)
 
 
 def _summed(key: Ints, sums: Ints) -> CellSums:

@@ -17,6 +17,7 @@ from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table
+from roadsight.io.records.terrain import read_terrain
 from roadsight.placement.sensors.light import rise_m
 from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drive import (
@@ -33,7 +34,7 @@ from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise
 from roadsight.poles.calibration.calibration import Loader
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.scene.terrain.tin import TerrainSight, read_terrain
+from roadsight.scene.terrain.tin import TerrainSight
 
 _FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
 """Columns of the frames that are read."""
