@@ -114,4 +114,5 @@ rule hardcases:
     localrule: True
 
 
+complete_steps()
 state_parameters()

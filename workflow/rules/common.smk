@@ -27,6 +27,7 @@ from roadsight.io.records.sources import Stamps, stage_module
 from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
+from snakemake.io import strip_wildcard_constraints
 from snakemake_logger_plugin_roadsight.producers import remember_producers
 from snakemake_logger_plugin_roadsight.stopping import let_stops_through
 
@@ -139,9 +140,7 @@ def told(*sections, **values):
 
 
 def formatted(value, wildcards):
-    return (
-        value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
-    )
+    return value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
 
 
 def wildcard(name):
@@ -220,7 +219,7 @@ def site_field(path):
 
 @lru_cache(maxsize=None)
 def sources(stage):
-    """What stands for the sources that a stage imports, and for the lock: an edit makes it stale."""
+    """What stands for the sources that a stage imports and the lock: an edit makes it stale."""
     return STAMPS.of(stage)
 
 
@@ -232,14 +231,6 @@ def sources_with(stage, engine):
         stamp,
         *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
     ]
-
-
-def log_of(stage, *wildcards):
-    return str(Path("logs/{site}", *wildcards, f"{stage}.log"))
-
-
-def benchmark_of(stage, *wildcards):
-    return str(Path("results/{site}/benchmarks", *wildcards, f"{stage}.tsv"))
 
 
 def cloud_files(wildcards):
@@ -260,9 +251,7 @@ def refuse_missing(resolved, file):
 def cloud_checksums(wildcards):
     """SHA-256 of each cloud, cached by path, size and date."""
     resolved = SITES[wildcards.site]
-    return (
-        [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
-    )
+    return [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
 
 
 def beside_site(path):
@@ -390,11 +379,7 @@ def site_runs():
 
 def own_site_page(wildcards):
     """Page of the scene and the placement, where the site has one."""
-    return (
-        [f"results/{wildcards.site}/page.json"]
-        if has_scene_page(wildcards.site)
-        else []
-    )
+    return [f"results/{wildcards.site}/page.json"] if has_scene_page(wildcards.site) else []
 
 
 def printed_reports():
@@ -421,10 +406,7 @@ def handovers():
     found = []
     for site in ASKED_SITES:
         if has_scene_page(site) or wants(site, "poles"):
-            found += [
-                f"results/{site}/gis/{site}.{kind}"
-                for kind in ("gpkg", "qgs", "kml", "dxf")
-            ]
+            found += [f"results/{site}/gis/{site}.{kind}" for kind in ("gpkg", "qgs", "kml", "dxf")]
         if wants(site, "placement"):
             found.append(f"results/{site}/stakeout.csv")
     return found
@@ -451,9 +433,7 @@ def extent_crs(wildcards):
     site = SITES[wildcards.site].site
     if site.extent is None:
         return ""
-    return (
-        site.extent.polygon_crs if site.extent.polygon else site.placement.edges_crs
-    ) or ""
+    return (site.extent.polygon_crs if site.extent.polygon else site.placement.edges_crs) or ""
 
 
 def extent_files(wildcards):
@@ -490,9 +470,7 @@ def pavement_truth(wildcards):
 
 def placement_only(inputs):
     """An input function that gives nothing where a site does not ask for placement."""
-    return lambda wildcards: (
-        inputs(wildcards) if wants(wildcards.site, "placement") else []
-    )
+    return lambda wildcards: (inputs(wildcards) if wants(wildcards.site, "placement") else [])
 
 
 def pavement_scores(wildcards):
@@ -524,15 +502,36 @@ def all_settings(wildcards):
     return SITES[wildcards.site].settings.model_dump_json()
 
 
+def complete_steps():
+    """Give each step what follows from its name: its sources; of a site's, log and benchmark file.
+
+    Plans, rounds, sensors and shards are folders of both, as in the path of the first output.
+    """
+    unmoved = workflow.modifier.path_modifier
+    for step in workflow.rules:
+        if step.shellcmd != STEP:
+            continue
+        step.input_modifier = step.log_modifier = step.benchmark_modifier = unmoved
+        if not step.output:  # what all others are made from
+            step.set_log("logs/step.log")
+            continue
+        if "code" not in step.input.keys():
+            step.set_input(code=sources(step.name))
+        if step.log:
+            continue
+        parts = Path(strip_wildcard_constraints(step.output[0])).parts[2:]
+        folders = [part.partition(".")[0] for part in parts if "{" in part and "{site}" not in part]
+        step.set_log(str(Path("logs/{site}", *folders, f"{step.name}.log")))
+        step.benchmark = str(Path("results/{site}/benchmarks", *folders, f"{step.name}.tsv"))
+
+
 def state_parameters():
     """Write at each function of the rules what it takes, where Python looks for it first.
 
     Snakemake asks for that three times whenever it calls one: a sixth of the time to list 20,000 jobs.
     """
     for each in workflow.rules:
-        asked = [
-            getattr(value, "_evaluator", None) for value in each.resources.values()
-        ]
+        asked = [getattr(value, "_evaluator", None) for value in each.resources.values()]
         for given in [*each.input, *each.params, *asked]:
             file = getattr(given, "_file", given)
             function = getattr(file, "callable", None) or file

@@ -2,8 +2,6 @@
 
 
 rule step:
-    log:
-        "logs/step.log",
     conda:
         ENVIRONMENT
     params:

@@ -12,7 +12,6 @@ use rule step as audit_effects with:
         ),
         effects=rules.plan_effects.output.out,
         catalogue=CONFIG.effects_file,
-        code=sources("audit_effects"),
     output:
         out="results/audit/{site}.json",
     log:
@@ -33,7 +32,6 @@ use rule step as audit_pole_effects with:
         hazard_files="results/{site}/poles/hazard.parquet",
         effects=rules.plan_effects.output.out,
         catalogue=CONFIG.effects_file,
-        code=sources("audit_pole_effects"),
     output:
         out="results/audit/poles/{site}.json",
     log:
@@ -56,7 +54,6 @@ use rule step as write_audit with:
             *(f"results/audit/poles/{site}.json" for site in audited_sites("poles")),
         ],
         assets=REPORT_ASSETS,
-        code=sources("write_audit"),
     output:
         csv="results/audit/audit.csv",
         table="results/audit/audit.md",

@@ -22,13 +22,8 @@ use rule step as compare_components with:
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
         truth_files=known_poles,
-        code=sources("compare_components"),
     output:
         out="results/{site}/poles/components.json",
-    log:
-        log_of("compare_components"),
-    benchmark:
-        benchmark_of("compare_components")
     params:
         settings=told(
             settings=settings_of(

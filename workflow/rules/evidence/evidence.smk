@@ -37,7 +37,6 @@ use rule step as measure_tradeoff with:
 use rule step as measure_base with:
     input:
         base_files=lambda wildcards: base_at(TRADEOFFS.sites[wildcards.job]),
-        code=sources("measure_base"),
     output:
         out="results/tradeoffs/base/{job}.json",
     log:
@@ -60,7 +59,6 @@ use rule step as measure_precision with:
     input:
         cloud=f"results/{site_of_job('placement')}/sample/cloud.laz",
         frame=f"results/{site_of_job('placement')}/scene/frame.json",
-        code=sources("measure_precision"),
     output:
         out="results/tradeoffs/precision.json",
     log:
@@ -76,7 +74,6 @@ use rule step as write_tradeoffs with:
         precision=rules.measure_precision.output.out,
         studies=CONFIG.tradeoffs_file,
         assets=REPORT_ASSETS,
-        code=sources("write_tradeoffs"),
     output:
         csv="results/tradeoffs/tradeoffs.csv",
         table="results/tradeoffs/tradeoffs.md",

@@ -21,11 +21,7 @@ def told_doubts(wildcards):
     if wants(wildcards.site, "poles"):
         told += [rules.profile_drive.output.doubts]
         told += [rules.triangulate_poles.output.doubts, rules.rate_hazard.output.doubts]
-        told += (
-            [rules.calibrate_drive.output.doubts]
-            if calibration_if_aligned(wildcards)
-            else []
-        )
+        told += [rules.calibrate_drive.output.doubts] if calibration_if_aligned(wildcards) else []
     scene = [file.format(site=wildcards.site) for file in told]
     return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
 

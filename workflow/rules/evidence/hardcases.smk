@@ -7,12 +7,7 @@ OUTPUTS          results/hardcases/: hardcases.csv, index.html
 
 use rule step as run_hardcases with:
     input:
-        assets=[
-            path
-            for path in REPORT_ASSETS
-            if path.endswith((".css", "hardcases.html.j2"))
-        ],
-        code=sources("run_hardcases"),
+        assets=[path for path in REPORT_ASSETS if path.endswith((".css", "hardcases.html.j2"))],
     output:
         table="results/hardcases/hardcases.csv",
         page="results/hardcases/index.html",

@@ -8,7 +8,6 @@ OUTPUTS          results/paper/: short.csv, short.html; long.csv, long.html
 use rule step as measure_paper with:
     input:
         base_files=base_of_paper,
-        code=sources("measure_paper"),
     output:
         out="results/paper/runs/{size}/{run}.json",
     log:
@@ -33,7 +32,6 @@ use rule step as write_paper with:
     input:
         runs=runs_of_paper,
         assets=REPORT_ASSETS,
-        code=sources("write_paper"),
     output:
         csv="results/paper/{size}.csv",
         page="results/paper/{size}.html",

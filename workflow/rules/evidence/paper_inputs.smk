@@ -21,9 +21,7 @@ def base_of_paper(wildcards):
     """What the default run of a site makes; the other runs share it."""
     runs = paper.runs(wildcards.size)
     default = runs[f"{runs[wildcards.run].site}-default"]
-    return [
-        f"results/{site_of_paper(wildcards)}/{target}" for target in default.targets
-    ]
+    return [f"results/{site_of_paper(wildcards)}/{target}" for target in default.targets]
 
 
 def config_of_paper(wildcards):
@@ -40,7 +38,4 @@ def changes_of_paper(wildcards):
 
 
 def runs_of_paper(wildcards):
-    return [
-        f"results/paper/runs/{wildcards.size}/{run}.json"
-        for run in paper.runs(wildcards.size)
-    ]
+    return [f"results/paper/runs/{wildcards.size}/{run}.json" for run in paper.runs(wildcards.size)]

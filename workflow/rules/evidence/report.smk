@@ -12,13 +12,8 @@ use rule step as match_inputs with:
         frame=rules.ingest_cloud.output.frame,
         frames=frames_of_lists,
         listed_files=listed_files,
-        code=sources("match_inputs"),
     output:
         doubts="results/{site}/doubts/match_inputs.json",
-    log:
-        log_of("match_inputs"),
-    benchmark:
-        benchmark_of("match_inputs")
     params:
         settings=told(
             views=lambda wildcards: (
@@ -51,14 +46,9 @@ use rule step as summarise_site with:
         tolerances=placement_only(plan_tolerances),
         removals=placement_only(plan_removals),
         doubts=told_doubts,
-        code=sources("summarise_site"),
     output:
         out="results/{site}/summary.json",
         run="results/{site}/run.json",
-    log:
-        log_of("summarise_site"),
-    benchmark:
-        benchmark_of("summarise_site")
     params:
         settings=told(
             benchmarks="results/{site}/benchmarks",
@@ -88,13 +78,8 @@ use rule step as write_site_page with:
         tolerances=placement_only(plan_tolerance_layers),
         obstacles=placement_only(plan_obstacles),
         scans=placement_only(plan_scans),
-        code=sources("write_site_page"),
     output:
         out="results/{site}/page.json",
-    log:
-        log_of("write_site_page"),
-    benchmark:
-        benchmark_of("write_site_page")
     resources:
         mem_mb=megabytes(100),
         runtime=minutes(),
@@ -115,7 +100,6 @@ use rule step as write_report with:
         runs=site_runs(),
         handed_over_files=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
-        code=sources("write_report"),
     output:
         out="results/report.html",
     log:
@@ -132,13 +116,8 @@ use rule step as write_pdf with:
         poles_page=own_poles_page,
         run=rules.summarise_site.output.run,
         template_files=PAPER_ASSETS,
-        code=sources("write_pdf"),
     output:
         out="results/{site}/report.pdf",
-    log:
-        log_of("write_pdf"),
-    benchmark:
-        benchmark_of("write_pdf")
     resources:
         mem_mb=megabytes(100),
 
@@ -155,16 +134,11 @@ use rule step as write_handover with:
         obstacles=placement_only(plan_obstacles),
         poles=poles_only(pole_layers),
         road_edges=poles_only(road_edge_layers),
-        code=sources("write_handover"),
     output:
         layers="results/{site}/gis/{site}.gpkg",
         project="results/{site}/gis/{site}.qgs",
         kml="results/{site}/gis/{site}.kml",
         drawing="results/{site}/gis/{site}.dxf",
-    log:
-        log_of("write_handover"),
-    benchmark:
-        benchmark_of("write_handover")
     params:
         settings=told(
             site=wildcard("site"),
@@ -178,13 +152,8 @@ use rule step as write_stakeout with:
         frame=rules.ingest_cloud.output.frame,
         edges=rules.build_edges.output.out,
         solutions=plan_solutions,
-        code=sources("write_stakeout"),
     output:
         out="results/{site}/stakeout.csv",
-    log:
-        log_of("write_stakeout"),
-    benchmark:
-        benchmark_of("write_stakeout")
 
 
 use rule step as write_poles_page with:
@@ -208,14 +177,9 @@ use rule step as write_poles_page with:
         validation=pole_validation,
         components=compared_components,
         drive=only_if("lens_distortion", rules.profile_drive.output.out),
-        code=sources("write_poles_page"),
     output:
         out="results/{site}/poles/page.json",
         pictures="results/{site}/poles/pictures.zip",
-    log:
-        log_of("write_poles_page"),
-    benchmark:
-        benchmark_of("write_poles_page")
     params:
         settings=told(
             "pictures",

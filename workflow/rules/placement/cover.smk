@@ -30,10 +30,6 @@ use rule step as solve_cover with:
         layers="results/{site}/placement/{plan}/solution.gpkg",
         timing="results/{site}/placement/{plan}/timing.json",
         doubts="results/{site}/doubts/solve_cover/{plan}.json",
-    log:
-        log_of("solve_cover", "{plan}"),
-    benchmark:
-        benchmark_of("solve_cover", "{plan}")
     params:
         settings=told(
             "cover",
@@ -80,10 +76,6 @@ use rule step as find_obstacles with:
         code=sources_with("find_obstacles", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/obstacles.gpkg",
-    log:
-        log_of("find_obstacles", "{plan}"),
-    benchmark:
-        benchmark_of("find_obstacles", "{plan}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -112,10 +104,6 @@ use rule step as render_scans with:
         code=sources_with("render_scans", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/scans.laz",
-    log:
-        log_of("render_scans", "{plan}"),
-    benchmark:
-        benchmark_of("render_scans", "{plan}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -139,14 +127,9 @@ use rule step as measure_data with:
         air=air_of_site,
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         decided=after_profile("partial_hits", "curvature_refraction"),
-        code=sources("measure_data"),
     output:
         out="results/{site}/placement/{plan}/data.json",
         layers="results/{site}/placement/{plan}/data.gpkg",
-    log:
-        log_of("measure_data", "{plan}"),
-    benchmark:
-        benchmark_of("measure_data", "{plan}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -181,10 +164,6 @@ use rule step as measure_tolerance with:
     output:
         out="results/{site}/placement/{plan}/tolerance.json",
         layers="results/{site}/placement/{plan}/tolerance.gpkg",
-    log:
-        log_of("measure_tolerance", "{plan}"),
-    benchmark:
-        benchmark_of("measure_tolerance", "{plan}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -217,10 +196,6 @@ use rule step as try_removals with:
         code=sources_with("try_removals", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/removals.json",
-    log:
-        log_of("try_removals", "{plan}"),
-    benchmark:
-        benchmark_of("try_removals", "{plan}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),

@@ -10,13 +10,8 @@ use rule step as render_depth_pairs with:
         candidates="results/{site}/placement/round-0/candidates.parquet",
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
-        code=sources("render_depth_pairs"),
     output:
         out=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
-    log:
-        log_of("render_depth_pairs"),
-    benchmark:
-        benchmark_of("render_depth_pairs")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),

@@ -19,13 +19,8 @@ use rule step as place_candidates with:
         ground=rules.build_dem.output.ground,
         mounts_files=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
-        code=sources("place_candidates"),
     output:
         out="results/{site}/placement/round-0/candidates.parquet",
-    log:
-        log_of("place_candidates"),
-    benchmark:
-        benchmark_of("place_candidates")
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
@@ -44,15 +39,10 @@ use rule step as place_targets with:
         outline=rules.extract_pavement.output.pavement,
         frame=rules.ingest_cloud.output.frame,
         edges=edges_of_targets,
-        code=sources("place_targets"),
     output:
         out="results/{site}/placement/targets.parquet",
         unexamined="results/{site}/placement/unexamined.gpkg",
         doubts="results/{site}/doubts/place_targets.json",
-    log:
-        log_of("place_targets"),
-    benchmark:
-        benchmark_of("place_targets")
     params:
         settings=told(flags("targets", TargetGrid), target_box, width_m=target_width),
 
@@ -62,15 +52,10 @@ use rule step as gather_objects with:
         surfels=rules.build_surfels.output.out,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        code=sources("gather_objects"),
     output:
         objects="results/{site}/placement/objects.gpkg",
         members="results/{site}/placement/objects.parquet",
         left="results/{site}/placement/surfels_left.parquet",
-    log:
-        log_of("gather_objects"),
-    benchmark:
-        benchmark_of("gather_objects")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -94,10 +79,6 @@ use rule step as render_depth_maps with:
             "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",
             non_empty=True,
         ),
-    log:
-        log_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}"),
-    benchmark:
-        benchmark_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}")
     resources:
         mem_mb=megabytes(250),
         runtime=minutes(),
@@ -129,16 +110,11 @@ use rule step as build_detection_shard with:
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         decided=after_profile("partial_hits", "curvature_refraction"),
-        code=sources("build_detection_shard"),
     output:
         out=ensure(
             "results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet",
             non_empty=True,
         ),
-    log:
-        log_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}"),
-    benchmark:
-        benchmark_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}")
     params:
         settings=told(
             target_box,
@@ -163,13 +139,8 @@ use rule step as check_coverage with:
         frame=rules.ingest_cloud.output.frame,
         zones_files=in_last_round(beside_site("placement.zones")),
         cabinets_files=in_last_round(beside_site("placement.cabinets")),
-        code=sources("check_coverage"),
     output:
         out="results/{site}/placement/round-{round}/coverage.json",
-    log:
-        log_of("check_coverage", "round-{round}"),
-    benchmark:
-        benchmark_of("check_coverage", "round-{round}")
     params:
         settings=told(
             zones=in_last_round(layered_site("placement.zones")),
@@ -192,13 +163,8 @@ use rule step as densify_candidates with:
         ground=rules.build_dem.output.ground,
         mounts_files=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
-        code=sources("densify_candidates"),
     output:
         out="results/{site}/placement/round-{round}/candidates.parquet",
-    log:
-        log_of("densify_candidates", "round-{round}"),
-    benchmark:
-        benchmark_of("densify_candidates", "round-{round}")
     wildcard_constraints:
         round=r"[1-9]\d*",
     params:

@@ -13,39 +13,22 @@ use rule step as tilt_mounts with:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        code=sources("tilt_mounts"),
     output:
         out="results/{site}/placement/round-{round}/tilts.parquet",
-    log:
-        log_of("tilt_mounts", "round-{round}"),
-    benchmark:
-        benchmark_of("tilt_mounts", "round-{round}")
     params:
         settings=told(mounting=setting("lidar.mounting")),
 
 
 use rule step as model_rain with:
-    input:
-        code=sources("model_rain"),
     output:
         out="results/{site}/placement/effects/rain.json",
-    log:
-        log_of("model_rain"),
-    benchmark:
-        benchmark_of("model_rain")
     params:
         settings=told(rain_mm_h=setting("conditions.rain_mm_h"), sensors=optical_names),
 
 
 use rule step as model_fog with:
-    input:
-        code=sources("model_fog"),
     output:
         out="results/{site}/placement/effects/fog.json",
-    log:
-        log_of("model_fog"),
-    benchmark:
-        benchmark_of("model_fog")
     params:
         settings=told(
             visibility_m=setting("conditions.visibility_m"),
@@ -58,14 +41,9 @@ use rule step as measure_reflectivity with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         pavement=rules.extract_pavement.output.pavement,
-        code=sources("measure_reflectivity"),
     output:
         out="results/{site}/placement/effects/reflectivity.json",
         surfaces="results/{site}/placement/effects/surfaces.parquet",
-    log:
-        log_of("measure_reflectivity"),
-    benchmark:
-        benchmark_of("measure_reflectivity")
     resources:
         mem_mb=megabytes(60),
     params:
@@ -83,12 +61,7 @@ use rule step as trace_lanes with:
         pavement=rules.extract_pavement.output.pavement,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        code=sources("trace_lanes"),
     output:
         out="results/{site}/placement/effects/lanes.parquet",
-    log:
-        log_of("trace_lanes"),
-    benchmark:
-        benchmark_of("trace_lanes")
     params:
         settings=told(flags("conditions", Traffic), site=wildcard("site")),

@@ -11,9 +11,7 @@ def plans_of(site):
 
 def sensors_of(site):
     """Sensors of all the site's plans, without repeats, in order of first use."""
-    return list(
-        dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors)
-    )
+    return list(dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors))
 
 
 def mounting_rules(wildcards):
@@ -65,10 +63,7 @@ def shard_count(wildcards):
 
 
 def candidates_in(site, rounds):
-    return [
-        f"results/{site}/placement/round-{number}/candidates.parquet"
-        for number in rounds
-    ]
+    return [f"results/{site}/placement/round-{number}/candidates.parquet" for number in rounds]
 
 
 def detections_in(site, rounds, sensors):
@@ -163,15 +158,12 @@ def layered_plan_file(option):
 
 def plan_sensors(wildcards):
     """``plan=sensor,sensor`` for each plan of the site."""
-    return [
-        f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()
-    ]
+    return [f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()]
 
 
 def per_plan(file):
     return lambda wildcards: [
-        f"results/{wildcards.site}/placement/{plan}/{file}"
-        for plan in plans_of(wildcards.site)
+        f"results/{wildcards.site}/placement/{plan}/{file}" for plan in plans_of(wildcards.site)
     ]
 
 
@@ -291,9 +283,7 @@ def tilts_of_all_rounds(wildcards):
 
 def placement_effect(effect, file):
     """A file of ``placement/effects``, where its effect is simulated."""
-    return only_if(
-        effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"]
-    )
+    return only_if(effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"])
 
 
 def plan_availability(wildcards):
@@ -397,9 +387,7 @@ def robust_arguments(wildcards):
     if not is_robust(wildcards):
         return ""
     posed = [
-        s
-        for s in plans_of(wildcards.site)[wildcards.plan].sensors
-        if is_posed(wildcards.site, s)
+        s for s in plans_of(wildcards.site)[wildcards.plan].sensors if is_posed(wildcards.site, s)
     ]
     clearly(refuse_posed, wildcards, posed)
     effects = (

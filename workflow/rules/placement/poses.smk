@@ -15,16 +15,11 @@ use rule step as detect_poses with:
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         decided=after_profile("partial_hits", "curvature_refraction"),
-        code=sources("detect_poses"),
     output:
         out=ensure(
             "results/{site}/placement/round-{round}/poses/{sensor}/{shard}.parquet",
             non_empty=True,
         ),
-    log:
-        log_of("detect_poses", "round-{round}", "{sensor}", "{shard}"),
-    benchmark:
-        benchmark_of("detect_poses", "round-{round}", "{sensor}", "{shard}")
     params:
         settings=told(
             target_box,

@@ -54,11 +54,7 @@ def criteria_of_sensor(wildcards):
 
 def sensor_of_map(wildcards):
     """Definition of the sensor of a depth map; a panorama's name says all about it."""
-    return (
-        sensor_definition(wildcards)
-        if wildcards.sensor in SENSORS
-        else wildcards.sensor
-    )
+    return sensor_definition(wildcards) if wildcards.sensor in SENSORS else wildcards.sensor
 
 
 def stride_of_map(wildcards):

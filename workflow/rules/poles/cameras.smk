@@ -25,14 +25,9 @@ use rule step as calibrate_drive with:
         masks=dense_masks,
         drive=dense_drive,
         intrinsics_files=intrinsics_file,
-        code=sources("calibrate_drive"),
     output:
         out="results/{site}/poles/calibration.json",
         doubts="results/{site}/doubts/calibrate_drive.json",
-    log:
-        log_of("calibrate_drive"),
-    benchmark:
-        benchmark_of("calibrate_drive")
     resources:
         mem_mb=camera_memory,
     params:
@@ -64,13 +59,8 @@ use rule step as align_cameras with:
         masks=dense_masks,
         drive=dense_drive,
         intrinsics_files=intrinsics_file,
-        code=sources("align_cameras"),
     output:
         out=ensure("results/{site}/poles/cameras/{shard}.parquet", non_empty=True),
-    log:
-        log_of("align_cameras", "{shard}"),
-    benchmark:
-        benchmark_of("align_cameras", "{shard}")
     resources:
         mem_mb=camera_memory,
     params:
@@ -95,13 +85,8 @@ use rule step as use_given_cameras with:
         dem=rules.build_dem.output.dem,
         cameras=cameras_of_videolog,
         intrinsics=intrinsics_file,
-        code=sources("use_given_cameras"),
     output:
         out=ensure("results/{site}/poles/given_cameras/{shard}.parquet", non_empty=True),
-    log:
-        log_of("use_given_cameras", "{shard}"),
-    benchmark:
-        benchmark_of("use_given_cameras", "{shard}")
     params:
         settings=told(
             flags("alignment", Reach),
@@ -117,11 +102,6 @@ use rule step as score_cameras with:
         intrinsics=beside_site("truth.intrinsics"),
         frame=rules.ingest_cloud.output.frame,
         road_edges=rules.extract_road_edges.output.edges,
-        code=sources("score_cameras"),
     output:
         errors="results/{site}/poles/camera_errors.parquet",
         out="results/{site}/poles/camera_scores.json",
-    log:
-        log_of("score_cameras"),
-    benchmark:
-        benchmark_of("score_cameras")

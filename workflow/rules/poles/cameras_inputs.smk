@@ -104,9 +104,7 @@ def intrinsics_option(wildcards):
 def is_dense(wildcards):
     """Whether cameras are aligned with all that photographs and cloud share."""
     method = SITES[wildcards.site].setting("alignment.method")
-    return method == "dense" or (
-        method == "auto" and known_lens(wildcards.site) is not None
-    )
+    return method == "dense" or (method == "auto" and known_lens(wildcards.site) is not None)
 
 
 def dense_only(path):
@@ -184,9 +182,7 @@ def images_by_shard(site, path):
         known = videolog_images(table, images)
         dealt = dealt_images(table, images, shards, every)
     check_corrections(known, path)
-    return [
-        {name for name, own in dealt.items() if own == shard} for shard in range(shards)
-    ]
+    return [{name for name, own in dealt.items() if own == shard} for shard in range(shards)]
 
 
 def corrections_file(wildcards):

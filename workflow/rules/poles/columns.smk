@@ -10,13 +10,8 @@ use rule step as find_pole_columns with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
-        code=sources("find_pole_columns"),
     output:
         out="results/{site}/poles/columns.parquet",
-    log:
-        log_of("find_pole_columns"),
-    benchmark:
-        benchmark_of("find_pole_columns")
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
@@ -29,17 +24,10 @@ use rule step as find_roadside_objects with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
-        code=sources("find_roadside_objects"),
     output:
         out="results/{site}/poles/objects.parquet",
-    log:
-        log_of("find_roadside_objects"),
-    benchmark:
-        benchmark_of("find_roadside_objects")
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        settings=told(
-            flags("sightings", "kinds", "building_classes", "headwall_classes")
-        ),
+        settings=told(flags("sightings", "kinds", "building_classes", "headwall_classes")),

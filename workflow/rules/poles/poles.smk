@@ -13,13 +13,8 @@ use rule step as turn_side_views with:
         cameras=all_cameras,
         images_files=rendered_images,
         drive=distorting_drive,
-        code=sources("turn_side_views"),
     output:
         out="results/{site}/poles/side_turns.json",
-    log:
-        log_of("turn_side_views"),
-    benchmark:
-        benchmark_of("turn_side_views")
     params:
         settings=told(images=images_path, lenses=given_lenses),
         images_sha256=image_digest(),
@@ -39,15 +34,10 @@ use rule step as measure_poles with:
         objects=objects_of_cloud,
         frame=rules.ingest_cloud.output.frame,
         decided=after_profile("side_views", "grid_convergence"),
-        code=sources("measure_poles"),
     output:
         out=ensure("results/{site}/poles/sightings/{shard}.parquet", non_empty=True),
         seen="results/{site}/poles/seen/{shard}.parquet",
         markings="results/{site}/poles/markings/{shard}.parquet",
-    log:
-        log_of("measure_poles", "{shard}"),
-    benchmark:
-        benchmark_of("measure_poles", "{shard}")
     params:
         settings=told(
             "sightings",
@@ -70,17 +60,12 @@ use rule step as triangulate_poles with:
         frames=rules.read_videolog.output.out,
         columns=rules.find_pole_columns.output.out,
         decisions=beside_site("poles.decisions"),
-        code=sources("triangulate_poles"),
     output:
         poles="results/{site}/poles/poles.parquet",
         layers="results/{site}/poles/placed.gpkg",
         csv="results/{site}/poles/poles.csv",
         geojson="results/{site}/poles/poles.geojson",
         doubts="results/{site}/doubts/triangulate_poles.json",
-    log:
-        log_of("triangulate_poles"),
-    benchmark:
-        benchmark_of("triangulate_poles")
     params:
         settings=told("triangulation", own_networks),
 
@@ -100,7 +85,6 @@ use rule step as rate_hazard with:
         routes_files=beside_site("roads.routes"),
         barriers_files=beside_site("roads.barriers"),
         decided=after_profile("scale_factor"),
-        code=sources("rate_hazard"),
     output:
         out="results/{site}/poles/hazard.parquet",
         csv="results/{site}/poles/hazard.csv",
@@ -108,10 +92,6 @@ use rule step as rate_hazard with:
         geometry_csv="results/{site}/poles/road_geometry.csv",
         layers="results/{site}/poles/poles.gpkg",
         doubts="results/{site}/doubts/rate_hazard.json",
-    log:
-        log_of("rate_hazard"),
-    benchmark:
-        benchmark_of("rate_hazard")
     params:
         settings=told(
             "hazard",
@@ -138,13 +118,8 @@ use rule step as validate_poles with:
         frames=rules.read_videolog.output.out,
         edges=rules.extract_road_edges.output.edges,
         voxels=rules.rasterise_lidar.output.voxels,
-        code=sources("validate_poles"),
     output:
         out="results/{site}/poles/validation.json",
-    log:
-        log_of("validate_poles"),
-    benchmark:
-        benchmark_of("validate_poles")
     params:
         settings=told(
             flags("validation", "reach_m", "match_m"),

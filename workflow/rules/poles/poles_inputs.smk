@@ -57,10 +57,7 @@ def track_for_curbs(wildcards):
 def voxels_for_bearings(wildcards):
     """Voxels, where bearings are those to the nearest of them, or depths are fitted to them."""
     setting = SITES[wildcards.site].setting
-    asked = (
-        setting("sightings.bearing") == "lidar"
-        or setting("sightings.distance") == "published"
-    )
+    asked = setting("sightings.bearing") == "lidar" or setting("sightings.distance") == "published"
     return [f"results/{wildcards.site}/poles/voxels.parquet"] if asked else []
 
 
@@ -134,11 +131,7 @@ def pole_results():
 
 
 def pole_pages():
-    return [
-        f"results/{site}/poles/page.json"
-        for site in ASKED_SITES
-        if wants(site, "poles")
-    ]
+    return [f"results/{site}/poles/page.json" for site in ASKED_SITES if wants(site, "poles")]
 
 
 def own_poles_page(wildcards):

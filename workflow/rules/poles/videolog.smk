@@ -16,13 +16,8 @@ use rule step as read_videolog with:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         top=rules.rasterise_lidar.output.top,
-        code=sources("read_videolog"),
     output:
         out="results/{site}/poles/frames.parquet",
-    log:
-        log_of("read_videolog"),
-    benchmark:
-        benchmark_of("read_videolog")
     params:
         settings=told("videolog", videolog=videolog_path, images=images_path),
         images_sha256=image_digest(),
@@ -34,14 +29,9 @@ checkpoint profile_drive:
         images_files=rendered_images,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        code=sources("profile_drive"),
     output:
         out="results/{site}/poles/drive.json",
         doubts="results/{site}/doubts/profile_drive.json",
-    log:
-        log_of("profile_drive"),
-    benchmark:
-        benchmark_of("profile_drive")
     conda:
         ENVIRONMENT
     params:
@@ -58,13 +48,8 @@ use rule step as segment_images with:
         images_files=rendered_images,
         models_files=mask_models,
         decided=after_profile("side_views"),
-        code=sources("segment_images"),
     output:
         out=ensure("results/{site}/poles/masks/{shard}.zip", non_empty=True),
-    log:
-        log_of("segment_images", "{shard}"),
-    benchmark:
-        benchmark_of("segment_images", "{shard}")
     resources:
         mem_mb=each_attempt(2000),
     params:
@@ -86,13 +71,8 @@ use rule step as estimate_depth with:
         images_files=rendered_images,
         models_files=depth_models,
         decided=after_profile("side_views"),
-        code=sources("estimate_depth"),
     output:
         out=ensure("results/{site}/poles/depth/{shard}.zip", non_empty=True),
-    log:
-        log_of("estimate_depth", "{shard}"),
-    benchmark:
-        benchmark_of("estimate_depth", "{shard}")
     resources:
         mem_mb=each_attempt(2000),
     params:
@@ -116,13 +96,8 @@ use rule step as undistort_views with:
         drive=rules.profile_drive.output.out,
         maps="results/{site}/poles/{kind}/{shard}.zip",
         decided=after_profile("side_views"),
-        code=sources("undistort_views"),
     output:
         out=ensure("results/{site}/poles/straight/{kind}/{shard}.zip", non_empty=True),
-    log:
-        log_of("undistort_views", "{kind}", "{shard}"),
-    benchmark:
-        benchmark_of("undistort_views", "{kind}", "{shard}")
     wildcard_constraints:
         kind="masks|depth",
     params:
@@ -139,13 +114,8 @@ use rule step as trace_image_edges with:
     input:
         frames=rules.read_videolog.output.out,
         masks=without_distortion("masks"),
-        code=sources("trace_image_edges"),
     output:
         out=ensure("results/{site}/poles/image_edges/{shard}.parquet", non_empty=True),
-    log:
-        log_of("trace_image_edges", "{shard}"),
-    benchmark:
-        benchmark_of("trace_image_edges", "{shard}")
     params:
         settings=told("image_edges", shard=wildcard("shard"), shards=setting("shards")),
 
@@ -155,13 +125,8 @@ use rule step as trace_pole_axes with:
         frames=rules.read_videolog.output.out,
         masks=without_distortion("masks"),
         decided=after_profile("side_views"),
-        code=sources("trace_pole_axes"),
     output:
         out=ensure("results/{site}/poles/pole_axes/{shard}.parquet", non_empty=True),
-    log:
-        log_of("trace_pole_axes", "{shard}"),
-    benchmark:
-        benchmark_of("trace_pole_axes", "{shard}")
     params:
         settings=told(
             flags("sightings", PoleMasks),
@@ -176,13 +141,8 @@ use rule step as match_images with:
         frames=rules.read_videolog.output.out,
         images_files=rendered_images,
         drive=distorting_drive,
-        code=sources("match_images"),
     output:
         out=ensure("results/{site}/poles/matches/{shard}.parquet", non_empty=True),
-    log:
-        log_of("match_images", "{shard}"),
-    benchmark:
-        benchmark_of("match_images", "{shard}")
     params:
         settings=told(
             images=images_path,

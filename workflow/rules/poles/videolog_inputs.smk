@@ -35,9 +35,7 @@ def rendered_images(wildcards):
     """Archives of rendered images, where the site has them."""
     if not is_rendered(wildcards):
         return []
-    return [
-        f"{images_path(wildcards)}/{shard}.zip" for shard in image_shards(wildcards)
-    ]
+    return [f"{images_path(wildcards)}/{shard}.zip" for shard in image_shards(wildcards)]
 
 
 @lru_cache(maxsize=None)
@@ -85,16 +83,14 @@ def mask_sources(wildcards):
     """Sources of pixel classes as lists of files: the site's, or the project's own network."""
     resolved = SITES[wildcards.site]
     sources = [
-        [resolved.beside(path) for path in source.files]
-        for source in resolved.site.poles.masks
+        [resolved.beside(path) for path in source.files] for source in resolved.site.poles.masks
     ]
     return sources or [[OWN_CLASSES]]
 
 
 def mask_options(wildcards):
     return " ".join(
-        "--source " + " ".join(map(shlex.quote, source))
-        for source in mask_sources(wildcards)
+        "--source " + " ".join(map(shlex.quote, source)) for source in mask_sources(wildcards)
     )
 
 

@@ -15,12 +15,7 @@ use rule step as plan_effects with:
         frame="results/{site}/scene/frame.json",
         drive=poles_only(drive_profile),
         catalogue=CONFIG.effects_file,
-        code=sources("plan_effects"),
     output:
         out="results/{site}/effects.json",
-    log:
-        log_of("plan_effects"),
-    benchmark:
-        benchmark_of("plan_effects")
     params:
         settings=told(circumstances=circumstances_json),

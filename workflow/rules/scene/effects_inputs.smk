@@ -66,13 +66,9 @@ def circumstances_json(wildcards):
 def decisions(site, job, files, changed):
     """Decision on each effect of a job at a site, from the content of what was measured."""
     about = circumstances(site)
-    sensors = {
-        name: define_sensor(asked, name) for name, asked in about["sensors"].items()
-    }
+    sensors = {name: define_sensor(asked, name) for name, asked in about["sensors"].items()}
     profile, frame, *drive = map(read_json, files)
-    measured = Circumstances(
-        profile, frame, about["settings"], sensors, about["given"], *drive
-    )
+    measured = Circumstances(profile, frame, about["settings"], sensors, about["given"], *drive)
     made = plan(EFFECTS, about["modes"], [job], measured)
     return {decision.effect: decision.decision for decision in made}
 
@@ -128,9 +124,7 @@ def unfinished(job, site, finished):
     ----------
     finished : number of files that checkpoints have made; the answer holds until there are more.
     """
-    measured = (
-        checkpoints.profile_drive if job == "poles" else checkpoints.profile_scene
-    )
+    measured = checkpoints.profile_drive if job == "poles" else checkpoints.profile_scene
     try:
         measured.get(site=site)
     except IncompleteCheckpointException as waiting:

@@ -13,14 +13,9 @@ use rule step as rasterise_lidar with:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         pavement=pavement_for_roads,
-        code=sources("rasterise_lidar"),
     output:
         voxels="results/{site}/poles/voxels.parquet",
         top="results/{site}/poles/top.tif",
-    log:
-        log_of("rasterise_lidar"),
-    benchmark:
-        benchmark_of("rasterise_lidar")
     threads: 2
     resources:
         mem_mb=megabytes(10),
@@ -36,14 +31,9 @@ use rule step as extract_road_edges with:
         frame=rules.ingest_cloud.output.frame,
         cloud=cloud_for_curbs,
         frames=track_for_curbs,
-        code=sources("extract_road_edges"),
     output:
         edges="results/{site}/poles/road_edges.parquet",
         lines="results/{site}/poles/road_edges.gpkg",
-    log:
-        log_of("extract_road_edges"),
-    benchmark:
-        benchmark_of("extract_road_edges")
     params:
         settings=told("road_edges"),
 
@@ -52,13 +42,8 @@ use rule step as build_terrain with:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         ground=ground_for_terrain,
-        code=sources("build_terrain"),
     output:
         out="results/{site}/poles/terrain.npz",
-    log:
-        log_of("build_terrain"),
-    benchmark:
-        benchmark_of("build_terrain")
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),

@@ -12,16 +12,10 @@ from roadsight.base.sections.run import (
 
 
 use rule step as generate_sample with:
-    input:
-        code=sources("generate_sample"),
     output:
         cloud="results/{site}/sample/cloud.laz",
         truth="results/{site}/sample/truth.gpkg",
         edges="results/{site}/sample/edges.geojson",
-    log:
-        log_of("generate_sample"),
-    benchmark:
-        benchmark_of("generate_sample")
     wildcard_constraints:
         site=sites_with_scene("highway"),
     resources:
@@ -34,8 +28,6 @@ use rule step as generate_sample with:
 
 
 use rule step as generate_rural with:
-    input:
-        code=sources("generate_rural"),
     output:
         cloud="results/{site}/sample/cloud.laz",
         truth="results/{site}/sample/truth.gpkg",
@@ -43,10 +35,6 @@ use rule step as generate_rural with:
         cameras="results/{site}/sample/truth_cameras.csv",
         videolog="results/{site}/sample/videolog.csv",
         baseline="results/{site}/sample/baseline.json",
-    log:
-        log_of("generate_rural"),
-    benchmark:
-        benchmark_of("generate_rural")
     wildcard_constraints:
         site=sites_with_scene("rural"),
     resources:
@@ -59,14 +47,8 @@ use rule step as generate_rural with:
 
 
 use rule step as render_videolog with:
-    input:
-        code=sources("render_videolog"),
     output:
         images=ensure("results/{site}/sample/images/{shard}.zip", non_empty=True),
-    log:
-        log_of("render_videolog", "{shard}"),
-    benchmark:
-        benchmark_of("render_videolog", "{shard}")
     wildcard_constraints:
         site=sites_with_scene("rural"),
     resources:

@@ -12,14 +12,9 @@ use rule step as ingest_cloud with:
     input:
         clouds=cloud_files,
         extent_files=extent_files,
-        code=sources("ingest_cloud"),
     output:
         cloud="results/{site}/scene/cloud.parquet",
         frame="results/{site}/scene/frame.json",
-    log:
-        log_of("ingest_cloud"),
-    benchmark:
-        benchmark_of("ingest_cloud")
     threads: 2
     resources:
         mem_mb=each_attempt(1000),
@@ -42,13 +37,8 @@ checkpoint profile_scene:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
-        code=sources("profile_scene"),
     output:
         out="results/{site}/scene/profile.json",
-    log:
-        log_of("profile_scene"),
-    benchmark:
-        benchmark_of("profile_scene")
     conda:
         ENVIRONMENT
     resources:
@@ -66,15 +56,10 @@ use rule step as build_dem with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         profile=rules.profile_scene.output.out,
-        code=sources("build_dem"),
     output:
         dem="results/{site}/scene/dem.tif",
         ground="results/{site}/scene/ground.parquet",
         doubts="results/{site}/doubts/build_dem.json",
-    log:
-        log_of("build_dem"),
-    benchmark:
-        benchmark_of("build_dem")
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
@@ -90,10 +75,6 @@ use rule step as cluster_fpfh with:
         code=sources_with("cluster_fpfh", setting("pavement.fpfh_engine")),
     output:
         out="results/{site}/scene/fpfh_clusters.parquet",
-    log:
-        log_of("cluster_fpfh"),
-    benchmark:
-        benchmark_of("cluster_fpfh")
     resources:
         mem_mb=megabytes(150),
         runtime=minutes(),
@@ -116,32 +97,20 @@ use rule step as extract_pavement with:
         pavement="results/{site}/scene/pavement.gpkg",
         points="results/{site}/scene/pavement.parquet",
         doubts="results/{site}/doubts/extract_pavement.json",
-    log:
-        log_of("extract_pavement"),
-    benchmark:
-        benchmark_of("extract_pavement")
     resources:
         mem_mb=memory_of_pavement,
         runtime=minutes(),
     params:
         settings=told(
             flags("pavement", "method", "intensity"),
-            setting_of_pavement(
-                "published", flags("pavement", "cluster_engine", PavementOutline)
-            ),
+            setting_of_pavement("published", flags("pavement", "cluster_engine", PavementOutline)),
             site=wildcard("site"),
             tma=layered_site("placement.tma"),
             seeds=setting_of_pavement("surface", pavement_seeds),
-            edges=setting_of_pavement(
-                "surface", layered_site("placement.edges", edges_file)
-            ),
-            edges_crs=setting_of_pavement(
-                "surface", site_field("placement.edges_crs")
-            ),
+            edges=setting_of_pavement("surface", layered_site("placement.edges", edges_file)),
+            edges_crs=setting_of_pavement("surface", site_field("placement.edges_crs")),
             track=setting_of_pavement("surface", layered_site("placement.track")),
-            track_crs=setting_of_pavement(
-                "surface", site_field("placement.track_crs")
-            ),
+            track_crs=setting_of_pavement("surface", site_field("placement.track_crs")),
         ),
 
 
@@ -151,13 +120,8 @@ use rule step as build_edges with:
         pavement=rules.extract_pavement.output.pavement,
         dem=rules.build_dem.output.dem,
         edges_files=edges_file,
-        code=sources("build_edges"),
     output:
         out="results/{site}/placement/edges.gpkg",
-    log:
-        log_of("build_edges"),
-    benchmark:
-        benchmark_of("build_edges")
     params:
         settings=told(
             "edges",
@@ -174,13 +138,8 @@ use rule step as score_pavement with:
         ground=rules.build_dem.output.ground,
         pavement=rules.extract_pavement.output.pavement,
         truth_files=pavement_truth,
-        code=sources("score_pavement"),
     output:
         out="results/{site}/scene/pavement_scores.json",
-    log:
-        log_of("score_pavement"),
-    benchmark:
-        benchmark_of("score_pavement")
     params:
         settings=told(
             truth=layered_site("truth.pavement", pavement_truth),

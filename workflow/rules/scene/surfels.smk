@@ -13,13 +13,8 @@ use rule step as mark_traffic with:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         pavement=rules.extract_pavement.output.pavement,
-        code=sources("mark_traffic"),
     output:
         out="results/{site}/scene/traffic.parquet",
-    log:
-        log_of("mark_traffic"),
-    benchmark:
-        benchmark_of("mark_traffic")
     resources:
         mem_mb=megabytes(100),
         runtime=minutes(),
@@ -34,10 +29,6 @@ use rule step as build_surfels with:
         code=sources_with("build_surfels", setting("lidar.outlier_engine")),
     output:
         out="results/{site}/scene/surfels.parquet",
-    log:
-        log_of("build_surfels"),
-    benchmark:
-        benchmark_of("build_surfels")
     resources:
         mem_mb=megabytes(200),
         runtime=minutes(),

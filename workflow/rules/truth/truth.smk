@@ -8,7 +8,6 @@ OUTPUTS          results/truth/: truth.csv, index.html
 use rule step as truth_ground with:
     input:
         files=truth_files("ground"),
-        code=sources("truth_ground"),
     output:
         out="results/truth/ground/{dataset}.json",
     log:
@@ -27,7 +26,6 @@ use rule step as truth_ground with:
 use rule step as truth_pavement with:
     input:
         files=truth_files("pavement"),
-        code=sources("truth_pavement"),
     output:
         out="results/truth/pavement/{dataset}.json",
     log:
@@ -46,7 +44,6 @@ use rule step as truth_pavement with:
 use rule step as truth_edges with:
     input:
         files=truth_files("edges"),
-        code=sources("truth_edges"),
     output:
         out="results/truth/edges/{dataset}.json",
     log:
@@ -65,7 +62,6 @@ use rule step as truth_edges with:
 use rule step as truth_depth with:
     input:
         files=truth_files("depth"),
-        code=sources("truth_depth"),
     output:
         out="results/truth/depth/{dataset}.json",
     log:
@@ -84,7 +80,6 @@ use rule step as truth_depth with:
 use rule step as truth_alignment with:
     input:
         files=truth_files("alignment"),
-        code=sources("truth_alignment"),
     output:
         out="results/truth/alignment/{dataset}.json",
     log:
@@ -103,7 +98,6 @@ use rule step as truth_alignment with:
 use rule step as truth_sightings with:
     input:
         files=truth_files("sightings"),
-        code=sources("truth_sightings"),
     output:
         out="results/truth/sightings/{dataset}.json",
     log:
@@ -122,7 +116,6 @@ use rule step as truth_sightings with:
 use rule step as truth_cover with:
     input:
         files=truth_files("cover"),
-        code=sources("truth_cover"),
     output:
         out="results/truth/cover/{dataset}.json",
     log:
@@ -142,7 +135,6 @@ use rule step as write_truth with:
     input:
         figures=truth_figures(),
         assets=REPORT_ASSETS,
-        code=sources("write_truth"),
     output:
         csv="results/truth/truth.csv",
         page="results/truth/index.html",

@@ -36,8 +36,7 @@ def truth_files(area):
 
 def truth_checksums(area):
     return lambda wildcards: [
-        CHECKSUMS.of(str(p))
-        for p in AREAS[area].files(wildcards.dataset, data_folder())[0]
+        CHECKSUMS.of(str(p)) for p in AREAS[area].files(wildcards.dataset, data_folder())[0]
     ]
 
 
