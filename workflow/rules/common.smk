@@ -55,6 +55,15 @@ def clearly(function, *arguments):
         os._exit(2)
 
 
+def refuse(message, **about):
+    """End the run with this message."""
+
+    def refused():
+        raise InputError(message, **about)
+
+    clearly(refused)
+
+
 # Snakemake keeps the last of keys that are there twice; reading the files refuses them.
 for path in workflow.configfiles:
     clearly(read_yaml, path)
@@ -240,12 +249,8 @@ def cloud_files(wildcards):
         return [f"results/{wildcards.site}/sample/cloud.laz"]
     missing = [file for file in resolved.clouds if not Path(file).is_file()]
     for file in missing:
-        clearly(refuse_missing, resolved, file)
+        refuse("no such cloud", where=f"{resolved.file}: clouds", found=file)
     return ancient(resolved.clouds)
-
-
-def refuse_missing(resolved, file):
-    raise InputError("no such cloud", where=f"{resolved.file}: clouds", found=file)
 
 
 def cloud_checksums(wildcards):
@@ -326,6 +331,25 @@ def sites_with_scene(scene):
     return "|".join(map(re.escape, found)) or "(?!)"
 
 
+def where(holds):
+    """Maker of inputs that a rule has where something holds of its wildcards, and none elsewhere.
+
+    They are given as an input function, as a path or as a list of paths.
+    """
+
+    def limited(inputs):
+        return lambda wildcards: (
+            (inputs(wildcards) if callable(inputs) else inputs) if holds(wildcards) else []
+        )
+
+    return limited
+
+
+placement_only = where(lambda wildcards: wants(wildcards.site, "placement"))
+poles_only = where(lambda wildcards: wants(wildcards.site, "poles"))
+scene_page_only = where(lambda wildcards: has_scene_page(wildcards.site))
+
+
 def has_scene_page(site):
     """Whether pavement and edges are among what the site asks for."""
     return wants(site, "scene") or wants(site, "placement")
@@ -377,11 +401,6 @@ def site_runs():
     ]
 
 
-def own_site_page(wildcards):
-    """Page of the scene and the placement, where the site has one."""
-    return [f"results/{wildcards.site}/page.json"] if has_scene_page(wildcards.site) else []
-
-
 def printed_reports():
     """The sites' reports on paper; without the engine that sets them, this is said and no more."""
     if importlib.util.find_spec("typst") is None:
@@ -392,13 +411,6 @@ def printed_reports():
         for site in ASKED_SITES
         if has_scene_page(site) or wants(site, "poles")
     ]
-
-
-def scene_page_only(file):
-    """A result of the scene, where the site asks for pavement and edges."""
-    return lambda wildcards: (
-        [file.format(site=wildcards.site)] if has_scene_page(wildcards.site) else []
-    )
 
 
 def handovers():
@@ -466,11 +478,6 @@ def pavement_truth(wildcards):
     if SITES[wildcards.site].site.sample:
         return [f"results/{wildcards.site}/sample/truth.gpkg"]
     return beside_site("truth.pavement")(wildcards)
-
-
-def placement_only(inputs):
-    """An input function that gives nothing where a site does not ask for placement."""
-    return lambda wildcards: (inputs(wildcards) if wants(wildcards.site, "placement") else [])
 
 
 def pavement_scores(wildcards):

@@ -9,8 +9,8 @@ use rule step as compare_components with:
     input:
         frames=rules.read_videolog.output.out,
         image_edges=all_image_edges,
-        pole_axes=landmark_axes,
-        matches=tied_points,
+        pole_axes=if_landmarks(all_pole_axes),
+        matches=if_ties(all_matches),
         baseline=registered_cameras,
         masks=all_masks,
         depth=all_depths,

@@ -69,7 +69,7 @@ use rule step as find_obstacles with:
         zones_files=beside_site("placement.zones"),
         cabinets_files=beside_site("placement.cabinets"),
         depth=if_cells(plan_depth_maps),
-        cloud=if_cells(rules.ingest_cloud.output.cloud),
+        cloud=if_cells([rules.ingest_cloud.output.cloud]),
         traffic=if_cells(traffic_mask),
         tilts=if_cells(only_if("mount_tilt", tilts_of_all_rounds)),
         decided=if_cells(after_profile("curvature_refraction")),

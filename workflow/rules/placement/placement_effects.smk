@@ -14,7 +14,7 @@ use rule step as tilt_mounts with:
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
     output:
-        out="results/{site}/placement/round-{round}/tilts.parquet",
+        out=TILTS_OF_ROUND,
     params:
         settings=told(mounting=setting("lidar.mounting")),
 

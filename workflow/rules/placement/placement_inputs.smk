@@ -4,6 +4,8 @@ from roadsight.base.section import check_path
 from roadsight.placement.sensors.light import wavelength_nm
 from roadsight.placement.sensors.sensors import what_it_sees
 
+TILTS_OF_ROUND = "results/{site}/placement/round-{round}/tilts.parquet"
+
 
 def plans_of(site):
     return SITES[site].plans
@@ -189,20 +191,6 @@ def plan_titles(wildcards):
     return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
 
 
-def site_targets(wildcards):
-    return f"results/{wildcards.site}/placement/targets.parquet"
-
-
-def unexamined_pavement(wildcards):
-    return f"results/{wildcards.site}/placement/unexamined.gpkg"
-
-
-def pavement_points(wildcards):
-    """Points of the pavement, where a site asks for it; they say its area."""
-    found = f"results/{wildcards.site}/scene/pavement.parquet"
-    return [found] if has_scene_page(wildcards.site) else []
-
-
 def all_detections(wildcards):
     site = wildcards.site
     return detections_in(site, rounds_of(site), sensors_of(site))
@@ -255,23 +243,15 @@ def depth_network(wildcards):
     lidar = SITES[wildcards.site].settings.lidar
     if not lidar.model.startswith("unet"):
         return []
-    clearly(check_network, lidar.network)
-    return [lidar.network]
-
-
-def check_network(path):
-    check_path(Path(path), "lidar.network")
-    if not Path(path).is_file():
-        raise InputError(
+    clearly(check_path, Path(lidar.network), "lidar.network")
+    if not Path(lidar.network).is_file():
+        refuse(
             "no such file",
             where="lidar.network",
-            found=path,
+            found=lidar.network,
             hint="see docs/placement/depth-maps.md",
         )
-
-
-def tilts_of_round(wildcards):
-    return f"results/{wildcards.site}/placement/round-{wildcards.round}/tilts.parquet"
+    return [lidar.network]
 
 
 def tilts_of_all_rounds(wildcards):
@@ -283,7 +263,7 @@ def tilts_of_all_rounds(wildcards):
 
 def placement_effect(effect, file):
     """A file of ``placement/effects``, where its effect is simulated."""
-    return only_if(effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"])
+    return only_if(effect, [f"results/{{site}}/placement/effects/{file}"])
 
 
 def plan_availability(wildcards):
@@ -303,18 +283,23 @@ def seen_surfels(wildcards):
     """Surfels of the scene that sensors look at, without the objects that the site removes."""
     resolved = SITES[wildcards.site]
     if resolved.site.placement.remove:
-        clearly(refuse_removal, resolved)
+        if resolved.settings.lidar.model != "surfel":
+            refuse(
+                "objects can only be removed from surfels",
+                where=f"{resolved.file}: placement.remove",
+                found=f"lidar.model: {resolved.settings.lidar.model}",
+                allowed="lidar.model: surfel",
+            )
         return f"results/{wildcards.site}/placement/surfels_left.parquet"
     return f"results/{wildcards.site}/scene/surfels.parquet"
 
 
 def is_robust(wildcards):
+    """Whether the cover of a plan is to hold with tolerance."""
     return plans_of(wildcards.site)[wildcards.plan].robust is not None
 
 
-def if_robust(files):
-    """Inputs of covers that hold with tolerance."""
-    return lambda wildcards: files(wildcards) if is_robust(wildcards) else []
+if_robust = where(is_robust)
 
 
 def air_of_site(wildcards):
@@ -328,53 +313,41 @@ def air_of_site(wildcards):
 
 
 def by_cells(wildcards):
+    """Whether obstacles are found by cells, as in the first study."""
     return setting("obstacles.method")(wildcards) == "cells"
 
 
-def if_cells(files):
-    """Inputs of obstacles by cells, as the first study finds them: a function, or a path."""
-    return lambda wildcards: (
-        (files(wildcards) if callable(files) else [files.format(**wildcards)])
-        if by_cells(wildcards)
-        else []
-    )
+if_cells = where(by_cells)
 
 
 def cell_arguments(wildcards):
     """Arguments of obstacles by cells; nothing for others."""
     if not by_cells(wildcards):
         return ""
-    if box_of(wildcards.site) is not None:
-        clearly(refuse_boxes, wildcards)
     found = SITES[wildcards.site].settings
-    text = (
+    if box_of(wildcards.site) is not None:
+        refuse(
+            "obstacles by cells are for cylinders, the first study's targets",
+            where=f"site {wildcards.site}: obstacles.method",
+            found=f"targets.kind: {found.targets.kind}",
+            hint="set obstacles.method: sight_lines, or targets.kind: cylinder",
+        )
+    return (
         f"--method cells --target-radius-m {found.targets.radius_m}"
         f" --azimuth-stride {found.lidar.azimuth_stride}"
         f" --curvature {decision_on('curvature_refraction')(wildcards)}"
-    )
-    return text
-
-
-def refuse_boxes(wildcards):
-    targets = SITES[wildcards.site].settings.targets
-    raise InputError(
-        "obstacles by cells are for cylinders, the first study's targets",
-        where=f"site {wildcards.site}: obstacles.method",
-        found=f"targets.kind: {targets.kind}",
-        hint="set obstacles.method: sight_lines, or targets.kind: cylinder",
     )
 
 
 def change_arguments(wildcards):
     """How targets are seen, and how far sensors may stand from their plan, as arguments."""
     found = SITES[wildcards.site].settings
-    text = (
+    return (
         f"{flags('tolerance')(wildcards)} --radius-m {found.targets.radius_m}"
         f" --height-m {target_height(wildcards)} {target_box(wildcards)}"
         f" --min-beams {min_beams_of(wildcards.site)}"
         f" --azimuth-stride {found.lidar.azimuth_stride} --engine {found.lidar.engine}"
     )
-    return text
 
 
 def engine_of_cover(wildcards):
@@ -389,30 +362,15 @@ def robust_arguments(wildcards):
     posed = [
         s for s in plans_of(wildcards.site)[wildcards.plan].sensors if is_posed(wildcards.site, s)
     ]
-    clearly(refuse_posed, wildcards, posed)
-    effects = (
-        f" --partial-hits {decision_on('partial_hits')(wildcards)}"
-        f" --curvature {decision_on('curvature_refraction')(wildcards)}"
-    )
-    return f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}"
-
-
-def refuse_posed(wildcards, posed):
     if posed:
-        raise InputError(
+        refuse(
             "robust: tolerance is for spinning LiDARs as mounted",
             where=f"site {wildcards.site}, plan {wildcards.plan}",
             found=", ".join(posed),
             hint="leave robust or these sensors out",
         )
-
-
-def refuse_removal(resolved):
-    """Only surfels are gathered to objects."""
-    if resolved.settings.lidar.model != "surfel":
-        raise InputError(
-            "objects can only be removed from surfels",
-            where=f"{resolved.file}: placement.remove",
-            found=f"lidar.model: {resolved.settings.lidar.model}",
-            allowed="lidar.model: surfel",
-        )
+    effects = (
+        f" --partial-hits {decision_on('partial_hits')(wildcards)}"
+        f" --curvature {decision_on('curvature_refraction')(wildcards)}"
+    )
+    return f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}"

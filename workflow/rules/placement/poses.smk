@@ -10,7 +10,7 @@ use rule step as detect_poses with:
         depth=panorama_of_shard,
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         targets=rules.place_targets.output.out,
-        tilts=only_if("mount_tilt", tilts_of_round),
+        tilts=only_if("mount_tilt", TILTS_OF_ROUND),
         air=air_of_site,
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),

@@ -65,7 +65,7 @@ def stride_of_map(wildcards):
 
 def tilts_of_map(wildcards):
     """Panoramas are levelled, however the mount leans."""
-    return tilts_of_round(wildcards) if wildcards.sensor in SENSORS else []
+    return TILTS_OF_ROUND if wildcards.sensor in SENSORS else []
 
 
 def panorama_flag(wildcards):

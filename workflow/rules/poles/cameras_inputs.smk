@@ -16,16 +16,12 @@ def aligns(wildcards):
     aligned = decided("road_alignment", wildcards) == "simulate"
     resolved = SITES[wildcards.site]
     if not aligned and not resolved.site.poles.cameras:
-        clearly(refuse_without_cameras, resolved)
+        refuse(
+            "road_alignment is skipped, but no cameras are given",
+            where=f"{resolved.file}: settings.effects",
+            hint="give poles.cameras, or leave the decision to the share of given cameras",
+        )
     return aligned
-
-
-def refuse_without_cameras(resolved):
-    raise InputError(
-        "road_alignment is skipped, but no cameras are given",
-        where=f"{resolved.file}: settings.effects",
-        hint="give poles.cameras, or leave the decision to the share of given cameras",
-    )
 
 
 def registered_cameras(wildcards):
@@ -36,11 +32,7 @@ def registered_cameras(wildcards):
         return given
     if is_rendered(wildcards):
         return [f"results/{wildcards.site}/sample/baseline.json"]
-    return clearly(refuse_without_baseline, resolved)
-
-
-def refuse_without_baseline(resolved):
-    raise InputError(
+    return refuse(
         "the published alignment starts from a registered camera of each image size",
         where=f"{resolved.file}: poles.baseline",
         found="none",
@@ -107,21 +99,7 @@ def is_dense(wildcards):
     return method == "dense" or (method == "auto" and known_lens(wildcards.site) is not None)
 
 
-def dense_only(path):
-    """An input of the dense alignment alone."""
-    return lambda wildcards: [path] if is_dense(wildcards) else []
-
-
-def dense_photographs(wildcards):
-    return rendered_images(wildcards) if is_dense(wildcards) else []
-
-
-def dense_masks(wildcards):
-    return all_masks(wildcards) if is_dense(wildcards) else []
-
-
-def dense_drive(wildcards):
-    return distorting_drive(wildcards) if is_dense(wildcards) else []
+if_dense = where(is_dense)
 
 
 def dense_digest(wildcards):
@@ -143,19 +121,8 @@ def dense_options(wildcards):
     return " ".join(parts)
 
 
-def uses_landmarks(wildcards):
-    return SITES[wildcards.site].setting("alignment.landmarks") == "use"
-
-
-def landmark_axes(wildcards):
-    """Pole axes in the images, where poles help to align the cameras."""
-    return all_pole_axes(wildcards) if uses_landmarks(wildcards) else []
-
-
-def landmark_columns(wildcards):
-    """Pole-like columns of the cloud, where they help to align the cameras."""
-    found = f"results/{wildcards.site}/poles/columns.parquet"
-    return [found] if uses_landmarks(wildcards) else []
+if_landmarks = where(lambda wildcards: setting("alignment.landmarks")(wildcards) == "use")
+if_ties = where(lambda wildcards: setting("alignment.ties")(wildcards) == "use")
 
 
 def shard_corrections(wildcards):
@@ -190,10 +157,3 @@ def corrections_file(wildcards):
     resolved = SITES[wildcards.site]
     about = shard_corrections(wildcards)
     return [resolved.beside(resolved.site.poles.corrections)] if about else []
-
-
-def tied_points(wildcards):
-    """Points that neighbouring images share, where these tie their cameras."""
-    if SITES[wildcards.site].setting("alignment.ties") != "use":
-        return []
-    return all_matches(wildcards)

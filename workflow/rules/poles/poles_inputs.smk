@@ -21,60 +21,35 @@ all_seen = pole_shards("seen", "parquet")
 all_markings = pole_shards("markings", "parquet")
 
 
-def pavement_for_roads(wildcards):
-    """Pavement that stands for the road class of a cloud without one."""
-    if SITES[wildcards.site].site.poles.road == "classes":
-        return []
-    return f"results/{wildcards.site}/scene/pavement.gpkg"
+def has_classes(wildcards):
+    """Whether the cloud has classes of road and ground; without, the pavement stands for them."""
+    return SITES[wildcards.site].site.poles.road == "classes"
+
+
+if_unclassed = where(lambda wildcards: not has_classes(wildcards))
+if_curbs = where(lambda wildcards: setting("road_edges.method")(wildcards) == "curbs")
 
 
 def road_source(wildcards):
-    return "class" if SITES[wildcards.site].site.poles.road == "classes" else "pavement"
+    return "class" if has_classes(wildcards) else "pavement"
 
 
-def ground_for_terrain(wildcards):
-    """Ground labels for the terrain of a cloud without classes."""
-    if SITES[wildcards.site].site.poles.road == "classes":
-        return []
-    return f"results/{wildcards.site}/scene/ground.parquet"
+@where
+def if_bearings(wildcards):
+    """Bearings are those to the nearest voxel, or depths are fitted to voxels."""
+    sightings = SITES[wildcards.site].settings.sightings
+    return sightings.bearing == "lidar" or sightings.distance == "published"
 
 
-def _where_curbs(wildcards, path):
-    curbs = SITES[wildcards.site].setting("road_edges.method") == "curbs"
-    return [f"results/{wildcards.site}/{path}"] if curbs else []
-
-
-def cloud_for_curbs(wildcards):
-    """Cloud, where road edges are curbs."""
-    return _where_curbs(wildcards, "scene/cloud.parquet")
-
-
-def track_for_curbs(wildcards):
-    """Track beside which curbs are looked for."""
-    return _where_curbs(wildcards, "poles/frames.parquet")
-
-
-def voxels_for_bearings(wildcards):
-    """Voxels, where bearings are those to the nearest of them, or depths are fitted to them."""
-    setting = SITES[wildcards.site].setting
-    asked = setting("sightings.bearing") == "lidar" or setting("sightings.distance") == "published"
-    return [f"results/{wildcards.site}/poles/voxels.parquet"] if asked else []
-
-
-def objects_of_cloud(wildcards):
-    """Objects that the cloud shows, where they are asked for."""
-    asked = {"tree", "guardrail", "building", "headwall"} & set(
-        SITES[wildcards.site].setting("sightings.kinds")
-    )
-    return [f"results/{wildcards.site}/poles/objects.parquet"] if asked else []
+@where
+def if_objects(wildcards):
+    """Objects that the cloud shows are asked for."""
+    kinds = SITES[wildcards.site].setting("sightings.kinds")
+    return not {"tree", "guardrail", "building", "headwall"}.isdisjoint(kinds)
 
 
 def pole_frames(wildcards):
     return f"results/{wildcards.site}/poles/frames.parquet"
-
-
-def found_poles(wildcards):
-    return f"results/{wildcards.site}/poles/poles.parquet"
 
 
 def known_poles(wildcards):
@@ -134,16 +109,6 @@ def pole_pages():
     return [f"results/{site}/poles/page.json" for site in ASKED_SITES if wants(site, "poles")]
 
 
-def own_poles_page(wildcards):
-    """Page of the poles, where the site asks for them."""
-    asked = wants(wildcards.site, "poles")
-    return [f"results/{wildcards.site}/poles/page.json"] if asked else []
-
-
-def pole_layers(wildcards):
-    return [f"results/{wildcards.site}/poles/poles.gpkg"]
-
-
 def pole_files(wildcards):
     """Files of the poles that the report names."""
     names = (
@@ -155,12 +120,3 @@ def pole_files(wildcards):
         "road_geometry.csv",
     )
     return [f"results/{wildcards.site}/poles/{name}" for name in names]
-
-
-def road_edge_layers(wildcards):
-    return [f"results/{wildcards.site}/poles/road_edges.gpkg"]
-
-
-def poles_only(inputs):
-    """An input function that gives nothing where a site does not ask for poles."""
-    return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "poles") else []

@@ -13,7 +13,7 @@ use rule step as plan_effects with:
     input:
         profile="results/{site}/scene/profile.json",
         frame="results/{site}/scene/frame.json",
-        drive=poles_only(drive_profile),
+        drive=poles_only("results/{site}/poles/drive.json"),
         catalogue=CONFIG.effects_file,
     output:
         out="results/{site}/effects.json",

@@ -104,14 +104,14 @@ def only_if(effect, inputs):
 
     Parameters
     ----------
-    inputs : an input function, or a path with wildcards.
+    inputs : an input function, a path with wildcards, or a list of them.
     """
 
     def needed(wildcards):
         await_profile(effect, wildcards)
         if decided(effect, wildcards) == "skip":
             return []
-        return inputs(wildcards) if callable(inputs) else inputs.format(**wildcards)
+        return inputs(wildcards) if callable(inputs) else inputs
 
     return needed
 

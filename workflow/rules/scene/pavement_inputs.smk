@@ -38,19 +38,8 @@ def pavement_method(wildcards):
 
 
 def of_pavement(method, inputs):
-    """An input function that gives nothing where the pavement is found in another way.
-
-    Parameters
-    ----------
-    inputs : an input function, or a path with wildcards.
-    """
-
-    def needed(wildcards):
-        if pavement_method(wildcards) != method:
-            return []
-        return inputs(wildcards) if callable(inputs) else [inputs.format(**wildcards)]
-
-    return needed
+    """Inputs of one way to the pavement; nothing where it is found in another."""
+    return where(lambda wildcards: pavement_method(wildcards) == method)(inputs)
 
 
 def setting_of_pavement(method, value):

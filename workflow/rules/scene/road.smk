@@ -12,7 +12,7 @@ use rule step as rasterise_lidar with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
-        pavement=pavement_for_roads,
+        pavement=if_unclassed(rules.extract_pavement.output.pavement),
     output:
         voxels="results/{site}/poles/voxels.parquet",
         top="results/{site}/poles/top.tif",
@@ -29,8 +29,8 @@ use rule step as extract_road_edges with:
     input:
         top=rules.rasterise_lidar.output.top,
         frame=rules.ingest_cloud.output.frame,
-        cloud=cloud_for_curbs,
-        frames=track_for_curbs,
+        cloud=if_curbs([rules.ingest_cloud.output.cloud]),
+        frames=if_curbs(["results/{site}/poles/frames.parquet"]),
     output:
         edges="results/{site}/poles/road_edges.parquet",
         lines="results/{site}/poles/road_edges.gpkg",
@@ -41,7 +41,7 @@ use rule step as extract_road_edges with:
 use rule step as build_terrain with:
     input:
         cloud=rules.ingest_cloud.output.cloud,
-        ground=ground_for_terrain,
+        ground=if_unclassed(rules.build_dem.output.ground),
     output:
         out="results/{site}/poles/terrain.npz",
     resources:

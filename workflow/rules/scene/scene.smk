@@ -88,7 +88,7 @@ use rule step as extract_pavement with:
         frame=rules.ingest_cloud.output.frame,
         ground=rules.build_dem.output.ground,
         profile=profile_for_pavement,
-        clusters=of_pavement("published", rules.cluster_fpfh.output.out),
+        clusters=of_pavement("published", [rules.cluster_fpfh.output.out]),
         edges_files=of_pavement("surface", edges_file),
         track_files=of_pavement("surface", beside_site("placement.track")),
         tma_files=beside_site("placement.tma"),

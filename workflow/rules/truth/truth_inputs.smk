@@ -13,18 +13,14 @@ def truth_datasets(area):
 def data_folder():
     """Folder of the real data; without one there is nothing to measure on."""
     if not DATA or not Path(DATA).is_dir():
-        clearly(refuse_no_data)
+        refuse(
+            "real data are needed",
+            where="ROADSIGHT_DATA",
+            found=DATA or "nothing",
+            allowed="the folder that holds clouds/, street_scans/, sightings/, ...",
+            hint="export ROADSIGHT_DATA=/path/to/data",
+        )
     return Path(DATA)
-
-
-def refuse_no_data():
-    raise InputError(
-        "real data are needed",
-        where="ROADSIGHT_DATA",
-        found=DATA or "nothing",
-        allowed="the folder that holds clouds/, street_scans/, sightings/, ...",
-        hint="export ROADSIGHT_DATA=/path/to/data",
-    )
 
 
 def truth_files(area):
