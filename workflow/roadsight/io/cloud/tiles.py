@@ -8,7 +8,6 @@ lie in the file as they were written: a tile has one, or more where its points c
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bools, Floats32
+from roadsight.base.arrays import AnyPath, Bools, Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.records.tables import as_numpy, open_parquet, read_table
 
@@ -71,7 +70,7 @@ class CloudTiles:
     InputError : the file is missing, damaged, or no tiled cloud.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = Path(path)
         with _readable(self._path):
             self._file = open_parquet(self._path)
@@ -224,10 +223,7 @@ class StandingCloud:
     """
 
     def __init__(
-        self,
-        cloud: str | os.PathLike[str],
-        traffic: str | os.PathLike[str] | None,
-        without: Sequence[int] = (),
+        self, cloud: AnyPath, traffic: AnyPath | None, without: Sequence[int] = ()
     ) -> None:
         self._cloud = CloudTiles(cloud)
         rows = [tile.rows for tile in self._cloud.tiles]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bytes, Numbers
+from roadsight.base.arrays import AnyPath, Bytes, Numbers
 from roadsight.base.doubts import Doubt, tell_matches
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image
@@ -39,7 +39,7 @@ class ImageShardWriter(WholeFile):
     path : the ZIP to write. about : JSON description kept in it.
     """
 
-    def __init__(self, path: str | os.PathLike[str], about: dict[str, Any] | None = None) -> None:
+    def __init__(self, path: AnyPath, about: dict[str, Any] | None = None) -> None:
         super().__init__(path)
         self._about = about or {}
 
@@ -69,7 +69,7 @@ class ImageShard:
     InputError : the file is missing or damaged.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = os.fspath(path)
         try:
             self._zip = zipfile.ZipFile(path)
@@ -154,7 +154,7 @@ class LabelImages:
     InputError : there is no such folder.
     """
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
+    def __init__(self, folder: AnyPath) -> None:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise InputError("is no folder", where=str(folder))

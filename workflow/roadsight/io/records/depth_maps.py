@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -21,7 +20,7 @@ import pyarrow.parquet as pq
 import zstandard
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Floats32
+from roadsight.base.arrays import AnyPath, Floats32
 from roadsight.base.errors import InputError
 from roadsight.base.kernels import compiled
 from roadsight.io.records.atomic import WholeFile, atomic_path
@@ -71,7 +70,7 @@ class DepthMapWriter(WholeFile):
     info : what the maps share.
     """
 
-    def __init__(self, path: str | os.PathLike[str], info: DepthMapInfo) -> None:
+    def __init__(self, path: AnyPath, info: DepthMapInfo) -> None:
         super().__init__(path)
         about = {"version": _VERSION, **asdict(info)}
         self._info = info
@@ -118,7 +117,7 @@ class DepthMaps:
     InputError : the file is missing, damaged, or holds no depth maps.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = Path(path)
         try:
             self._file = open_parquet(self._path)
@@ -276,13 +275,13 @@ def stack_pairs(pairs: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]
     return DepthPairs(*(np.stack([stepped(pair[part]) for pair in pairs]) for part in (0, 1)))
 
 
-def write_pairs(path: str | os.PathLike[str], pairs: DepthPairs) -> None:
+def write_pairs(path: AnyPath, pairs: DepthPairs) -> None:
     """Write the pairs of a scene; equal pairs give equal bytes."""
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **{part: getattr(pairs, part) for part in _PARTS})
 
 
-def read_pairs(path: str | os.PathLike[str]) -> DepthPairs:
+def read_pairs(path: AnyPath) -> DepthPairs:
     """Pairs of a scene.
 
     Raises
@@ -308,7 +307,7 @@ def read_pairs(path: str | os.PathLike[str]) -> DepthPairs:
     return pairs
 
 
-def read_dataset(folder: str | os.PathLike[str], truth: str) -> dict[str, DepthPairs]:
+def read_dataset(folder: AnyPath, truth: str) -> dict[str, DepthPairs]:
     """Pairs of every scene in a folder by name, ordered by it.
 
     Parameters

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,
