@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import laspy
 import numpy as np
@@ -47,19 +48,8 @@ class Chunk:
         """Points where ``mask``, of shape (n,), is true."""
         if mask.all():
             return self
-        return Chunk(
-            self.xyz[mask],
-            self.intensity[mask],
-            self.classification[mask],
-            self.return_number[mask],
-            self.number_of_returns[mask],
-            self.withheld[mask],
-            None if self.colour is None else self.colour[mask],
-            self.synthetic[mask],
-            self.overlap[mask],
-            self.scan[mask],
-            None if self.time is None else self.time[mask],
-        )
+        parts: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Chunk(**{name: None if of is None else of[mask] for name, of in parts.items()})
 
 
 def chunk_of(

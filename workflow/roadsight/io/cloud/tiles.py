@@ -20,7 +20,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import AnyPath, Bools, Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.errors import InputError, unreadable
 from roadsight.io.records.tables import as_numpy, open_parquet, read_table
 
 POSITION = ("x", "y", "z")
@@ -200,11 +200,7 @@ def _readable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as a tiled cloud ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("a tiled cloud", path, error) from error
 
 
 class StandingCloud:

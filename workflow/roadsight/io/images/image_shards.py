@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import AnyPath, Bytes, Numbers
 from roadsight.base.doubts import Doubt, tell_matches
-from roadsight.base.errors import InputError
+from roadsight.base.errors import InputError, unreadable
 from roadsight.io.images.exif import decoded_image
 from roadsight.io.records.atomic import WholeFile
 
+_SHARD = "a shard of images"  # what messages call it
 _ABOUT = "about.json"  # name of the description in the ZIP
 # The earliest date that a ZIP can hold, so that the same images give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -75,7 +76,7 @@ class ImageShard:
             self._zip = zipfile.ZipFile(path)
             self.about: dict[str, Any] = json.loads(self._zip.read(_ABOUT))
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise self._damaged(error) from error
+            raise unreadable(_SHARD, self._path, error) from error
         self.names = [n.removesuffix(".png") for n in self._zip.namelist() if n != _ABOUT]
         self._known = frozenset(self.names)
 
@@ -93,18 +94,11 @@ class ImageShard:
         try:
             content = np.frombuffer(self._zip.read(f"{name}.png"), np.uint8)
         except (KeyError, zipfile.BadZipFile, OSError) as error:
-            raise self._damaged(error) from error
+            raise unreadable(_SHARD, self._path, error) from error
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
         if image is None:
-            raise self._damaged(f"{name} is no image")
+            raise unreadable(_SHARD, self._path, f"{name} is no image")
         return image
-
-    def _damaged(self, problem: object) -> InputError:
-        return InputError(
-            f"cannot be read as a shard of images ({problem})",
-            where=self._path,
-            hint="delete it and run the workflow again",
-        )
 
 
 class JpegShardWriter(WholeFile):

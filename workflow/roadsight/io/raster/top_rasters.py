@@ -19,7 +19,7 @@ from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window
 
 from roadsight.base.arrays import AnyPath, Bytes, Floats, Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.errors import unreadable
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import crs_wkt, unit_text
 from roadsight.io.records.atomic import WholeFile, check_raster
@@ -173,11 +173,7 @@ def read_top(
             cls, height, share = _layers(raster, frame, layers)
             transform = raster.transform
     except (RasterioError, OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as an overhead view of the cloud ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("an overhead view of the cloud", path, error) from error
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
     return TopRaster(cls, height, share, west_m, north_m, cell_size_m)

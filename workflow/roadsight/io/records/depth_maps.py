@@ -21,7 +21,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import AnyPath, Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.errors import InputError, unreadable
 from roadsight.base.kernels import compiled
 from roadsight.io.records.atomic import WholeFile, atomic_path
 from roadsight.io.records.tables import open_parquet
@@ -126,7 +126,7 @@ class DepthMaps:
                 raise ValueError("written by another version")
             self.info = DepthMapInfo(**about)
         except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def __len__(self) -> int:
         return int(self._file.metadata.num_rows)
@@ -143,7 +143,7 @@ class DepthMaps:
                 for candidate, steps in zip(*batch.columns, strict=True):
                     yield candidate.as_py(), self.decode(steps.as_buffer())
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, Floats32]]:
         """As iteration gives them, of these candidates only; what is not there is left out.
@@ -156,7 +156,7 @@ class DepthMaps:
             for candidate, content in self.stored(candidates):
                 yield candidate, self.decode(content)
         except (zstandard.ZstdError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def candidates(self) -> list[str]:
         """Candidates in the order of their maps.
@@ -169,7 +169,7 @@ class DepthMaps:
             names = self._file.read(["candidate"], use_threads=False)["candidate"]
             return [str(name) for name in names.to_pylist()]
         except (OSError, pa.ArrowException, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def stored(self, candidates: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Maps of these candidates as the file stores them, group by group.
@@ -189,7 +189,7 @@ class DepthMaps:
                 for row in rows.to_pylist():
                     yield row["candidate"], row["steps"]
         except (OSError, pa.ArrowException, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def decode(self, content: pa.Buffer | bytes) -> Floats32:
         """The map that `stored` gives as bytes.
@@ -204,13 +204,6 @@ class DepthMaps:
         if len(raw) != size:
             raise ValueError(f"a depth map of {len(raw)} bytes instead of {size}")
         return _decode(np.frombuffer(raw, "<u2").reshape(shape), self.info.step_m)
-
-    def _damaged(self, error: Exception) -> InputError:
-        return InputError(
-            f"cannot be read as depth maps ({error})",
-            where=str(self._path),
-            hint="delete it and run the workflow again",
-        )
 
 
 @compiled()

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import AnyPath
-from roadsight.base.errors import InputError
+from roadsight.base.errors import unreadable
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.scene.surfels import Surfels
@@ -39,11 +39,7 @@ def read_terrain(path: AnyPath) -> Terrain:
         ):
             raise ValueError("its arrays do not belong together")
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"cannot be read as a terrain ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("a terrain", path, error) from error
     return Terrain(vertices, triangles)
 
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import DTypeLike, NDArray
 
 from roadsight.base.arrays import AnyPath
-from roadsight.base.errors import InputError
+from roadsight.base.errors import unreadable
 from roadsight.io.records.atomic import atomic_path
 
 if TYPE_CHECKING:  # short steps without tables of pandas do not wait for it
@@ -65,11 +65,7 @@ def _readable(path: AnyPath) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, KeyError) as error:
-        raise InputError(
-            f"cannot be read as a Parquet table ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("a Parquet table", path, error) from error
 
 
 # Parquet files that are read without threads, and columns between NumPy and Arrow without a copy.

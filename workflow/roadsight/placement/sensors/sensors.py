@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError, nearest
-from roadsight.base.section import validated
+from roadsight.base.section import Section, validated
 from roadsight.base.texts import read_yaml
 
 _MAX_BEAMS = 20_000_000  # more is a slip of a step, and depth maps would not fit into memory
@@ -210,10 +210,8 @@ class Sensor(BaseModel):
 _MAX_PIXELS = 200_000_000  # pixels of a camera; more is a slip
 
 
-class AimedSensor(BaseModel, ABC):
+class AimedSensor(Section, ABC):
     """What all aimed sensors have."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     range_m: float = Field(gt=0, le=5000, description="detection range, m")
     cost: float = Field(1.0, ge=0, le=1e9, description="cost of placing one (paper: 1)")
@@ -300,10 +298,8 @@ class Camera(AimedSensor):
         return self.hfov_deg / 2, float(upright)
 
 
-class Zone(BaseModel):
+class Zone(Section):
     """A part of a radar's field of view about its axis."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     half_angle_deg: float = Field(gt=0, le=180, description="to either side of the axis, deg")
     range_m: float = Field(gt=0, le=5000, description="detection range at range_rcs_m2, m")
