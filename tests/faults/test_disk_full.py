@@ -26,9 +26,9 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
-from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.scene_tables import write_terrain
 from roadsight.io.records.tables import write_table
-from roadsight.io.records.terrain import write_terrain
+from roadsight.io.records.text_tables import write_csv
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.scene.terrain.tin import Terrain
 from roadsight.scene.voxel_classes import Columns, VoxelGrid

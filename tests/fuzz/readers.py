@@ -31,7 +31,7 @@ from roadsight.io.images.image_shards import LabelImages
 from roadsight.io.images.models import open_model
 from roadsight.io.images.videologs import ImageSource, read_videolog_table
 from roadsight.io.records.matrices import read_element_list, read_matrix, read_set_list, read_vector
-from roadsight.io.records.sighting_tables import read_sightings
+from roadsight.io.records.text_tables import read_sightings
 from roadsight.io.vector.known import read_points
 from roadsight.io.vector.vectors import read_lines, read_polygons
 from roadsight.placement.sensors.sensors import load_sensors

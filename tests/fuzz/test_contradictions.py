@@ -11,7 +11,7 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.clouds import read_header, read_laz
-from roadsight.io.records.sighting_tables import read_sightings
+from roadsight.io.records.text_tables import read_sightings
 from tests.fuzz.contradictions import KINDS, clean_cloud, contradicted_cloud, table
 from tests.fuzz.image_contradictions import check_image
 from tests.fuzz.vector_contradictions import check_vector

@@ -15,7 +15,7 @@ from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.placement_tables import read_detections
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.placement.sensors.sensors import panorama_name
 from roadsight.placement.sight.kinds import Box, shape_of

@@ -10,8 +10,7 @@ from pydantic import BaseModel
 from roadsight.config.plans import Plan
 from roadsight.config.schema import Settings
 from roadsight.config.sites import Site
-from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
-from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sensors.sensors import Camera, Radar, Rosette, Sensor
 
 Level = tuple[str, str]
 """Path of a field, ``section.field``, and one of its levels as text."""

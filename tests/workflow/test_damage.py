@@ -20,8 +20,8 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.scene_tables import read_terrain
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.io.records.terrain import read_terrain
 from roadsight.io.vector.vectors import read_layer
 from tests.faults.disturb import Disturbed, check_same, digests
 

@@ -23,10 +23,8 @@ from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.placement_tables import read_detections
 from roadsight.io.vector.vectors import read_layer
-from roadsight.placement.sensors.aimed import AimedSensor, Camera
 from roadsight.placement.sensors.poses import split_pose
-from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sensors.sensors import AimedSensor, Camera, Sensor, load_sensors
 
 SAME = {"abs": 1e-6}
 """Values that are copied, or computed twice in double precision."""

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.placement.sensors.sensors import load_sensors
 
 PLAIN = "  plans: [os-32, os-64]\n"

@@ -9,12 +9,12 @@ from shapely import LineString, MultiPolygon, Polygon
 
 from roadsight.base.arrays import Numbers
 from roadsight.geometry.lens import RadialLens
-from roadsight.placement.candidates.tilt import road_normals, tilt_rotation
 from roadsight.placement.sensors.light import (
     fog_extinction_per_m,
     rain_extinction_per_m,
     range_in_air_m,
 )
+from roadsight.placement.sensors.poses import road_normals, tilt_rotation
 from roadsight.placement.sight.lanes import trace_lanes
 from roadsight.poles.drive.drive_profile import beside_track
 from roadsight.scene.pavement.reflectivity import ASPHALT, reflectivity_of

@@ -18,9 +18,8 @@ from roadsight.geometry.ray_casting import RayScene
 from roadsight.io.cloud.clouds import read_laz, write_laz
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
-from roadsight.placement.sensors.aimed import Camera
 from roadsight.placement.sensors.rays import sensor_from_spherical, spherical_from_sensor
-from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sensors.sensors import Camera, Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.kinds import Cylinder

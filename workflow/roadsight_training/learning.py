@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from roadsight.base.seeds import SEED
+from roadsight.base import SEED
 from roadsight.io.records.sources import sha256
 
 _WARM_UP = 0.05  # Share of the steps in which the learning rate rises.

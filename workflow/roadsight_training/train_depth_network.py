@@ -20,8 +20,8 @@ import onnx
 import torch
 from torch import nn
 
+from roadsight.base import SEED
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.io.images.models import DepthNetwork
 from roadsight.io.records.depth_maps import DepthPairs, digest, read_dataset
 from roadsight.placement.depth.unet import MULTIPLE_CELLS, STEP_DEG

@@ -17,8 +17,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from roadsight.base import SEED
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.stages.command import Command
 from roadsight_training.augment import Batch, Crops, random_batch

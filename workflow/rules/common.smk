@@ -24,7 +24,7 @@ from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
 from roadsight.io.records.sources import CachedChecksums
 from roadsight.io.records.sources import Stamps, stage_module
-from roadsight.io.vector.layer_names import with_companions
+from roadsight.io.records.companions import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
 from snakemake.io import strip_wildcard_constraints

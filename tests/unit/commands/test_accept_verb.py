@@ -15,8 +15,7 @@ from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
-from roadsight.placement.candidates.tilt import tilt_rotation
-from roadsight.placement.sensors.poses import AS_MOUNTED, local_from_sensor
+from roadsight.placement.sensors.poses import AS_MOUNTED, local_from_sensor, tilt_rotation
 from tests.unit.placement.plans.test_acceptance import PLACE_M, scan, street
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME
 

@@ -17,7 +17,7 @@ WORKFLOW = PROJECT / "workflow"
 ABSENT = object()
 
 OTHER = {
-    "base/seeds.py": ("SEED", "where the default stands"),
+    "base/__init__.py": ("SEED", "where the default stands"),
     "base/shards.py": ("shards", "the whole, where nothing is shared out"),
     "evidence/costs.py": ("images shards rounds", "amounts of a mile"),
     "roadsight_hardcases": ("radius_m points", "what a hard case is made of"),

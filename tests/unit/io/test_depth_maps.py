@@ -11,7 +11,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.shards import shard_of
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMaps, DepthMapWriter, range_step_m
 from roadsight.io.records.placement_tables import read_detections, read_poses, write_detections
-from roadsight.io.records.surfels import read_surfels, write_surfels
+from roadsight.io.records.scene_tables import read_surfels, write_surfels
 from roadsight.io.records.tables import write_table
 from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.scene.surfels import Surfels

@@ -12,9 +12,13 @@ import shapely
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.images.external_weights import network_sha256, weight_files
+from roadsight.io.records.companions import (
+    network_sha256,
+    split_layer,
+    weight_files,
+    with_companions,
+)
 from roadsight.io.records.sources import sha256
-from roadsight.io.vector.layer_names import split_layer, with_companions
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vector_sources import with_known_heights
 from roadsight.io.vector.vectors import read_lines

@@ -11,8 +11,7 @@ from roadsight.base.section import validated
 from roadsight.config.sites import Site
 from roadsight.config.starter import site_text
 from roadsight.io.images.videologs import ImageSource
-from roadsight.io.records.sighting_tables import read_sightings
-from roadsight.io.records.text_tables import read_cells
+from roadsight.io.records.text_tables import read_cells, read_sightings
 
 PLAIN = "lat,lon,bearing,depth,image\n35.7,-78.6,78.69,30.5,a\n35.8,-78.5,8.6,,b\n"
 

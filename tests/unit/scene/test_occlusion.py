@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.records.scene_tables import read_terrain, write_terrain
 from roadsight.io.records.tables import write_table
-from roadsight.io.records.terrain import read_terrain, write_terrain
 from roadsight.scene.terrain.tin import (
     Terrain,
     TerrainSight,

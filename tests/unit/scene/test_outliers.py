@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_about
 from roadsight.scene.surfels import in_company
 from roadsight.stages.scene import build_surfels

@@ -15,7 +15,8 @@ from roadsight.setcover.common.kernels import reduced_costs
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
-from roadsight.setcover.cover import closing, enumeration
+from roadsight.setcover.cover import enumeration
+from roadsight.setcover.cover import search as closing
 from roadsight.setcover.cover import solve as handover
 from roadsight.setcover.cover.enumeration import _lowest, _ones, affordable_pairs, enumerate_covers
 from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover

@@ -11,7 +11,7 @@ import pytest
 
 from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.images.image_shards import ImageShard, JpegShardWriter
-from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.text_tables import write_csv
 from roadsight.stages.scene import generate_rural, render_videolog
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.videolog import random_drives

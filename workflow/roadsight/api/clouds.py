@@ -17,9 +17,9 @@ from roadsight.base.sections.scene import Overlap
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
+from roadsight.io.cloud.chunks import OVERLAP_CLASS, key_steps, noisy, point_keys
 from roadsight.io.cloud.cloud_scan import OVERLAP
 from roadsight.io.cloud.clouds import WAVEFORM, NativeCloud, read_laz, write_laz
-from roadsight.io.cloud.point_filter import OVERLAP_CLASS, key_steps, noisy, point_keys
 from roadsight.stages.scene.ingest_cloud import notes_of, survey
 
 log = logging.getLogger("roadsight")

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from roadsight.base.seeds import SEED
+from roadsight.base import SEED
 from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.problem import HIGHS, OWN

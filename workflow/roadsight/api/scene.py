@@ -9,11 +9,11 @@ import geopandas as gpd
 import numpy as np
 
 from roadsight.api.clouds import Points, Taken, taken
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges, GroundFilter, Pavement
-from roadsight.base.seeds import SEED
 from roadsight.io.vector.vectors import native_features
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad

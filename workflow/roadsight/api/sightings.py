@@ -7,7 +7,7 @@ import os
 import geopandas as gpd
 import pandas as pd
 
-from roadsight.io.records.sighting_tables import checked_sightings, read_sightings
+from roadsight.io.records.text_tables import checked_sightings, read_sightings
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.rays import UNAIDED, TriangulationSettings
 

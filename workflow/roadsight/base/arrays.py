@@ -1,7 +1,8 @@
-"""Types of the arrays that all rooms pass on."""
+"""Types that all rooms pass on: arrays, and names of files."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -14,4 +15,4 @@ Ints32 = NDArray[np.int32]  # the same as solvers and kernels take them
 Bools = NDArray[np.bool_]  # masks
 Bytes = NDArray[np.uint8]  # classes and pixels
 Numbers = NDArray[Any]  # any of them
-__all__ = ["Bools", "Bytes", "Floats", "Floats32", "Ints", "Ints32", "Numbers"]
+AnyPath = str | os.PathLike[str]  # a file or folder

@@ -50,6 +50,15 @@ def _on_one_line(text: object, longest: int = _LONGEST) -> str:
     return plain if len(plain) <= longest else f"{plain[:longest]}..."
 
 
+def unreadable(what: str, path: object, problem: object) -> InputError:
+    """Message that a file of the workflow, which makes it again once it is gone, is damaged."""
+    return InputError(
+        f"cannot be read as {what} ({problem})",
+        where=str(path),
+        hint="delete it and run the workflow again",
+    )
+
+
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Hint that names the valid word closest to ``name``, or lists them all."""
     valid = sorted(valid)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from roadsight.base.arrays import AnyPath
 from roadsight.base.errors import InputError
 
 # Values of a file, repeats by aliases counted. Aliases of aliases reach it in a few lines.
@@ -31,7 +31,7 @@ class _OneKeyOnce(yaml.SafeLoader):
         return node
 
 
-def read_yaml(path: str | os.PathLike[str]) -> Any:
+def read_yaml(path: AnyPath) -> Any:
     """Content of a YAML file.
 
     Raises

@@ -8,7 +8,7 @@ from typing import Annotated
 from roadsight.api.drive import Drive
 from roadsight.base.errors import InputError
 from roadsight.commands.verb import Verb
-from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.text_tables import write_csv
 
 
 def run(

@@ -11,7 +11,7 @@ from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
 from roadsight.commands.verb import Verb, check_positive
-from roadsight.io.records.sighting_tables import read_text_table, write_csv
+from roadsight.io.records.text_tables import read_text_table, write_csv
 from roadsight.poles.risk.changes import STATUSES, ChangeSettings, changes
 
 _AXES = (("latitude", "longitude"), ("lat", "lon"))

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.matrices import read_matrix, read_vector

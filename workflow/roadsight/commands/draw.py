@@ -8,10 +8,10 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 
+from roadsight.base import SEED
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
-from roadsight.io.records.sighting_tables import read_text_table, write_csv
+from roadsight.io.records.text_tables import read_text_table, write_csv
 from roadsight.poles.risk.checks import MISSED, NONE, POLE, draw, strata
 
 DEGREES = ("latitude", "longitude")  # columns of places in degrees, WGS 84

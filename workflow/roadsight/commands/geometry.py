@@ -15,7 +15,7 @@ from roadsight.base.sections.scene import Edges
 from roadsight.commands.pavement import Search
 from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.geometry.frames import Frame
-from roadsight.io.records.sighting_tables import in_native, write_csv
+from roadsight.io.records.text_tables import in_native, write_csv
 from roadsight.io.vector.vector_sources import load_local
 from roadsight.io.vector.vectors import AREAS, LINES, check_shape, read_lines, write_layers
 from roadsight.poles.risk.road_geometry import STATION_M

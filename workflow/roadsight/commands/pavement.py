@@ -8,11 +8,11 @@ from typing import Annotated
 
 from roadsight.api.clouds import Cloud, labels_of, write_labelled
 from roadsight.api.scene import IntensityUse, Method, ground, pavement
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement
-from roadsight.base.seeds import SEED
 from roadsight.commands.verb import CloudPath, Reading, Verb, check_output, load_cloud
 from roadsight.io.vector.known import read_seeds, read_track
 from roadsight.scene.whole import FoundRoad

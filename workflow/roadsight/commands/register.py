@@ -17,8 +17,8 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.sighting_tables import read_text_table
 from roadsight.io.records.tables import read_table
+from roadsight.io.records.text_tables import read_text_table
 from roadsight.poles.alignment.drive import places_of
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import RoadEdges

@@ -15,7 +15,7 @@ from roadsight.base.errors import InputError
 from roadsight.commands.draw import DEGREES, axes_of
 from roadsight.commands.verb import Verb
 from roadsight.io.records.atomic import write_json
-from roadsight.io.records.sighting_tables import read_text_table
+from roadsight.io.records.text_tables import read_text_table
 from roadsight.poles.risk.checks import FEWEST, MISSED, NONE, POLE, score_checks
 
 _GEOD = Geod(ellps="WGS84")

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from roadsight.base import SEED
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb, check_positive
-from roadsight.io.records.sighting_tables import read_sightings, write_csv
+from roadsight.io.records.text_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import (
     looks_exchanged,
     reasons_for_none,

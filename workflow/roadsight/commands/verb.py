@@ -15,7 +15,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.options import add_options, called
 from roadsight.base.sections.scene import Overlap, Scene
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.vector.layer_names import split_layer
+from roadsight.io.records.companions import split_layer
 
 CloudPath = Annotated[Path, "LAS or LAZ file"]  # the cloud of a verb
 

@@ -17,7 +17,7 @@ from roadsight.config.plans import Plan, check_sensors, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
 from roadsight.effects.catalogue import check_names, load_catalogue
-from roadsight.io.vector.layer_names import split_layer
+from roadsight.io.records.companions import split_layer
 
 SITES = Path("config/sites")  # where sites are that are named without a path
 

@@ -19,8 +19,7 @@ from roadsight.geometry.crs import unit_name
 from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
-from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
-from roadsight.io.cloud.repeated import check_copies
+from roadsight.io.cloud.cloud_scan import CloudScan, Contents, check_copies, kept_chunks, scan_cloud
 from roadsight.placement.candidates.targets import points_needed
 from roadsight.scene.classes import CLASS_NAMES
 from roadsight.scene.profile import CELL_M, density, merge_counts

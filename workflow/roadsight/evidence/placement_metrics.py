@@ -18,6 +18,7 @@ from roadsight.base.sections.run import Sample
 from roadsight.base.sections.sensing import Targets
 from roadsight.config.schema import Settings
 from roadsight.evidence.exact_highway import ExactHighway, sees_in_pose, share_wrong
+from roadsight.evidence.paper import mean_distance_m  # noqa: F401  # a metric by its name
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -261,19 +262,6 @@ def _data(results: Results) -> dict:
 def sensor_positions_m(results: Results) -> list[list[float]]:
     """Where the chosen sensors stand, local metres."""
     return [[float(one[axis]) for axis in "xyz"] for one in _solution(results)["sensors"]]
-
-
-def mean_distance_m(found_m: list[list[float]], others_m: list[list[float]]) -> float:
-    """Mean distance of sensors to the nearest of the others (paper 1, section 3.3.2); NaN if none.
-
-    Parameters
-    ----------
-    found_m, others_m : (n, 3) and (m, 3) positions.
-    """
-    if not found_m or not others_m:
-        return float("nan")
-    apart = np.linalg.norm(np.array(found_m)[:, None] - np.array(others_m)[None], axis=2)
-    return float(apart.min(axis=1).mean())
 
 
 def uncovered(results: Results) -> float:

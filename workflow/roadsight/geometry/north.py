@@ -84,15 +84,14 @@ def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> Floats | None:
     """WGS 84 degrees (n, 2) of local positions (n, 2); None for a site without CRS."""
     if frame.crs_wkt is None:
         return None
-    x, y = frame.to_native(xy_m).T
-    return np.column_stack(_to_wgs84(frame.crs_wkt).transform(x, y))
+    latitude, longitude = _site_north(frame).to_geographic(xy_m)
+    return np.column_stack([longitude, latitude])
 
 
 @lru_cache(maxsize=4)
-def _to_wgs84(crs_wkt: str) -> Transformer:
-    """Transformer from the horizontal part of a CRS; made once, for it takes milliseconds."""
-    crs = horizontal(CRS.from_wkt(crs_wkt))
-    return Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+def _site_north(frame: Frame) -> SiteNorth:
+    """Made once, for it takes milliseconds."""
+    return SiteNorth(frame)
 
 
 def bearing_deg(yaw_deg: float) -> float:

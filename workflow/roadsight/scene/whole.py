@@ -12,11 +12,11 @@ import numpy as np
 import shapely
 from shapely import MultiPolygon
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Ground, GroundClasses, GroundFilter, PavementOutline
-from roadsight.base.seeds import SEED
 from roadsight.scene.classes import ROADS, WATER
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface

@@ -19,8 +19,8 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.placement import Cover
 from roadsight.config.plans import FILES, Plan
 from roadsight.io.records.atomic import read_json
+from roadsight.io.records.companions import split_layer
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.layer_names import split_layer
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.plans.plan_problem import Asked, pose, posed_candidates
 from roadsight.placement.sensors.sensors import load_sensors

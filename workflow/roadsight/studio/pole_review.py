@@ -14,8 +14,8 @@ from pydantic import Field
 
 from roadsight.base.errors import InputError
 from roadsight.io.images.videologs import ImageSource
-from roadsight.io.records.sighting_tables import COLUMNS, read_decisions, write_decisions
 from roadsight.io.records.tables import read_table
+from roadsight.io.records.text_tables import COLUMNS, read_decisions, write_decisions
 from roadsight.poles.triangulate.site import nearest_poles
 from roadsight.report.poles.poles_layers import finite, match_sightings
 from roadsight.studio.drawing import Metre

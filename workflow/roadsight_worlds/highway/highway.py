@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Sample
-from roadsight.base.seeds import SEED
 from roadsight.geometry.frames import Frame
 from roadsight_worlds.casting.alignment import Alignment, to_road
 from roadsight_worlds.casting.materials import MATERIAL_NAMES, TruthClass

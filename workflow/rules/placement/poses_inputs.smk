@@ -1,6 +1,6 @@
 """Helpers of sensors in poses: which these are, their angles, and the panoramas that judge them."""
 
-from roadsight.placement.sensors.aimed import AimedSensor
+from roadsight.placement.sensors.sensors import AimedSensor
 from roadsight.placement.sensors.poses import AS_MOUNTED, turns_of
 from roadsight.placement.sensors.sensors import panorama_name
 

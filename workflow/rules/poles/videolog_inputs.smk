@@ -3,7 +3,7 @@
 import shlex
 
 from roadsight.base.texts import read_yaml
-from roadsight.io.images.external_weights import weight_files
+from roadsight.io.records.companions import weight_files
 from roadsight.io.images.videolog_files import files_by_shard
 
 

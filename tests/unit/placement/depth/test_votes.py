@@ -18,7 +18,7 @@ from roadsight.placement.depth.votes import (
     seen_from_here,
 )
 from roadsight.placement.sensors.rays import beam_directions
-from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sensors.sensors import Sensor
 from roadsight.scene.samples import Samples, build_samples
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_planes import coarsen, sum_moments

@@ -13,9 +13,9 @@ from roadsight.placement.sensors.rays import beam_directions, rosette_raster
 from roadsight.placement.sensors.sensors import Camera, Radar, Rosette, Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.detectors import Criteria, detector_of
-from roadsight.placement.sight.footprints import count_shared_hits
 from roadsight.placement.sight.kinds import Cylinder
 from roadsight.placement.sight.posed import Panorama, scene_range_m
+from roadsight.placement.sight.shapes import count_shared_hits
 from roadsight.placement.sight.sight import Sight
 from roadsight.stages.placement.render_scans import rosette_directions
 from tests.helpers.analytic_scene import HEIGHT_M, RADIUS_M, Trace, panorama_of, scene_ranges

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from roadsight.geometry.cameras import attitude_deg, cam_from_world
-from roadsight.placement.candidates.tilt import tilt_rotation
 from roadsight.placement.sensors.poses import (
     AS_MOUNTED,
     Turn,
@@ -17,6 +16,7 @@ from roadsight.placement.sensors.poses import (
     not_dominated,
     pose_name,
     split_pose,
+    tilt_rotation,
     turns_of,
 )
 from roadsight.placement.sensors.rays import beam_directions

@@ -11,17 +11,14 @@ from roadsight.placement.plans.availability import (
     AtLevel,
     CommonTraffic,
     at_level,
-    counted_shares,
-    past_traffic,
-)
-from roadsight.placement.sight.common_traffic import (
     contains,
+    counted_shares,
     joint_share,
+    past_traffic,
     shares_alone,
     spans_in_the_way,
 )
-from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
-from roadsight.placement.sight.passing import CAR, TRUCK
+from roadsight.placement.sight.lanes import CAR, TRUCK, free_shares, rasterise_lanes
 from roadsight.setcover.plans.joint import solve_joint
 from tests.unit.placement.sight.test_lanes import straight_lanes
 

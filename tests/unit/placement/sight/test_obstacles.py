@@ -14,7 +14,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.placement_tables import write_detections
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.records.scene_tables import write_surfels
 from roadsight.io.records.tables import write_table
 from roadsight.placement.sight.obstacles import (
     blocked_sight_lines,

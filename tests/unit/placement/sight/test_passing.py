@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.placement.sight.passing import (
-    CAR,
-    TRUCK,
-    VehicleClass,
-    expected_in_the_way,
-    vehicles_per_m,
-)
+from roadsight.placement.sight.kinds import Box
+from roadsight.placement.sight.lanes import CAR, TRUCK, expected_in_the_way, vehicles_per_m
 
 
 def drawn(sensor, target, lane_y, per_m, vehicle, rng, draws=4000):
@@ -56,7 +51,7 @@ def test_nothing_is_in_the_way_of_a_line_above_or_short_of_the_lane():
 
 
 def test_straight_across_only_the_length_counts():
-    box = VehicleClass(10.0, 2.0, 4.0)
+    box = Box(10.0, 2.0, 4.0)
     assert expected_in_the_way((0, 0, 2), (0, 9, 0), 5.0, 0.01, box) == pytest.approx(0.1)
 
 

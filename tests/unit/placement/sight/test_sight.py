@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.placement.candidates.tilt import road_normals, tilt_rotation
 from roadsight.placement.depth.surfel_lidar import SurfelLidar, risen
+from roadsight.placement.sensors.poses import road_normals, tilt_rotation
 from roadsight.placement.sensors.rays import as_seen_from, beam_directions, returns_xyz_m
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import count_hits
-from roadsight.placement.sight.footprints import CLEAN_SHARE, count_shared_hits, overlap
 from roadsight.placement.sight.kinds import Cylinder
-from roadsight.placement.sight.shapes import beams_on
+from roadsight.placement.sight.shapes import CLEAN_SHARE, beams_on, count_shared_hits, overlap
 from roadsight.placement.sight.sight import Sight, count_beams
 from roadsight.scene.surfels import Surfels
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from roadsight.placement.candidates.tilt import tilt_rotation
-from roadsight.placement.sensors.poses import Turn, local_from_sensor
+from roadsight.placement.sensors.poses import Turn, local_from_sensor, tilt_rotation
 from roadsight.placement.sensors.rays import NOT_CAST_M, spinning_raster
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import Box, Cylinder, room_for

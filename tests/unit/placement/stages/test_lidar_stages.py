@@ -15,7 +15,7 @@ from roadsight.io.images.models import network_for
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.placement_tables import read_detections
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.depth.unet import model_of_points

@@ -14,7 +14,7 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
 from roadsight.io.records.placement_tables import read_detections, write_detections
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.records.scene_tables import write_surfels
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.plans.plan_problem import choices_of, posed_candidates

@@ -9,7 +9,7 @@ import pytest
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.surfels import read_surfels, write_surfels
+from roadsight.io.records.scene_tables import read_surfels, write_surfels
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.scene.surfels import Surfels

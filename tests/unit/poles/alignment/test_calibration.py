@@ -9,8 +9,8 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Calibration, Reach
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.scene_tables import write_terrain
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.io.records.terrain import write_terrain
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import loader, near_edges, places_of
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, SIZE, Spread

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.records.sighting_tables import COLUMNS, read_decisions, write_decisions
+from roadsight.io.records.text_tables import COLUMNS, read_decisions, write_decisions
 from roadsight.poles.triangulate.site import REACH_M, REJECTED, apply_decisions, nearest_poles
 
 FRAME = Frame((458000.0, 5428000.0, 0.0))

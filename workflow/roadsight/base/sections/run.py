@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from roadsight.base import SEED
 from roadsight.base.section import Count, Section
-from roadsight.base.seeds import SEED
 
 
 class Run(Section):

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.chunks import Chunk, chunk_of, native_xyz
@@ -89,7 +89,7 @@ class NativeCloud:
     header: CloudHeader
 
 
-def read_header(path: str | os.PathLike[str]) -> CloudHeader:
+def read_header(path: AnyPath) -> CloudHeader:
     """Header of a LAS or LAZ file.
 
     Raises
@@ -101,7 +101,7 @@ def read_header(path: str | os.PathLike[str]) -> CloudHeader:
         return cloud_header(Path(path), reader.header)
 
 
-def read_extent(path: str | os.PathLike[str]) -> Floats:
+def read_extent(path: AnyPath) -> Floats:
     """Lower and upper corner (2, 3) of a cloud as its header states them, native coordinates.
 
     They are rounded to the file's own steps, so that they equal the coordinates of points.
@@ -117,7 +117,7 @@ def read_extent(path: str | os.PathLike[str]) -> Floats:
 
 
 def iter_chunks(
-    path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS, times: bool = False
+    path: AnyPath, chunk_points: int = CHUNK_POINTS, times: bool = False
 ) -> Iterator[Chunk]:
     """Stream a cloud in file order, at most ``chunk_points`` points at a time.
 
@@ -138,7 +138,7 @@ def iter_chunks(
                 yield chunk_of(points[start : start + chunk_points], header, times)
 
 
-def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
+def read_laz(path: AnyPath) -> NativeCloud:
     """Read a whole cloud with all its dimensions; meant for clouds that fit in memory.
 
     Raises
@@ -157,7 +157,7 @@ def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
 
 
 def write_laz(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     xyz_m: ArrayLike,
     frame: Frame,
     dims: Mapping[str, ArrayLike] | None = None,
@@ -204,9 +204,7 @@ def write_laz(
 
 
 @contextmanager
-def _open(
-    path: str | os.PathLike[str], layers: DecompressionSelection = _ALL_LAYERS
-) -> Iterator[laspy.LasReader]:
+def _open(path: AnyPath, layers: DecompressionSelection = _ALL_LAYERS) -> Iterator[laspy.LasReader]:
     """Open a cloud; whatever laspy and its decoder raise becomes one InputError.
 
     Only the ``layers`` of points are decoded, where the point format has layers.
@@ -236,7 +234,7 @@ def _open(
 
 
 def _decoded(
-    path: str | os.PathLike[str], reader: laspy.LasReader, chunk_points: int
+    path: AnyPath, reader: laspy.LasReader, chunk_points: int
 ) -> Iterator[laspy.ScaleAwarePointRecord]:
     """Decode the points of an open cloud and count them.
 

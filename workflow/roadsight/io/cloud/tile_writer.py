@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Floats32
+from roadsight.base.arrays import AnyPath, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.chunks import Chunk
@@ -50,7 +50,7 @@ class TileWriter(WholeFile):
     coloured : whether points have red, green and blue.
     """
 
-    def __init__(self, path: str | os.PathLike[str], tile_size_m: float, coloured: bool) -> None:
+    def __init__(self, path: AnyPath, tile_size_m: float, coloured: bool) -> None:
         super().__init__(path)
         self._tile_size_m = tile_size_m
         names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
@@ -214,7 +214,7 @@ class TileDraft(ExitStack):
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], tile_size_m: float, frame: Frame | None, coloured: bool
+        self, path: AnyPath, tile_size_m: float, frame: Frame | None, coloured: bool
     ) -> None:
         super().__init__()
         self._frame, self._coloured = frame, coloured
@@ -223,7 +223,7 @@ class TileDraft(ExitStack):
         if frame is not None:
             self._writer = self.enter_context(TileWriter(path, tile_size_m, coloured))
 
-    def take(self, path: str | os.PathLike[str], chunk: Chunk) -> None:
+    def take(self, path: AnyPath, chunk: Chunk) -> None:
         """Add points of a cloud, or give up where they lie beyond the promised corner."""
         if self._writer is None or self._frame is None:
             return

@@ -8,7 +8,6 @@ lie in the file as they were written: a tile has one, or more where its points c
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,8 +19,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bools, Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.arrays import AnyPath, Bools, Floats32
+from roadsight.base.errors import InputError, unreadable
 from roadsight.io.records.tables import as_numpy, open_parquet, read_table
 
 POSITION = ("x", "y", "z")
@@ -71,7 +70,7 @@ class CloudTiles:
     InputError : the file is missing, damaged, or no tiled cloud.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = Path(path)
         with _readable(self._path):
             self._file = open_parquet(self._path)
@@ -201,11 +200,7 @@ def _readable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as a tiled cloud ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("a tiled cloud", path, error) from error
 
 
 class StandingCloud:
@@ -224,10 +219,7 @@ class StandingCloud:
     """
 
     def __init__(
-        self,
-        cloud: str | os.PathLike[str],
-        traffic: str | os.PathLike[str] | None,
-        without: Sequence[int] = (),
+        self, cloud: AnyPath, traffic: AnyPath | None, without: Sequence[int] = ()
     ) -> None:
         self._cloud = CloudTiles(cloud)
         rows = [tile.rows for tile in self._cloud.tiles]

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, RootModel
 
+from roadsight.base.arrays import AnyPath
 from roadsight.base.errors import InputError
 from roadsight.base.section import Degrees, Section, validated
 from roadsight.geometry.frames import Frame
@@ -22,9 +23,7 @@ _LENS = ("focal_px", "cx_px", "cy_px")
 _SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
 
 
-def read_cameras(
-    path: str | os.PathLike[str], frame: Frame, intrinsics: str | os.PathLike[str] | None = None
-) -> pd.DataFrame:
+def read_cameras(path: AnyPath, frame: Frame, intrinsics: AnyPath | None = None) -> pd.DataFrame:
     """Poses of cameras: image, x, y, z (local metres), heading_deg (grid), pitch, roll, lens.
 
     Parameters
@@ -63,7 +62,7 @@ def read_cameras(
     return found
 
 
-def posed_images(path: str | os.PathLike[str]) -> set[str]:
+def posed_images(path: AnyPath) -> set[str]:
     """Names of the images whose camera a table has.
 
     Raises
@@ -74,7 +73,7 @@ def posed_images(path: str | os.PathLike[str]) -> set[str]:
     return set(table[_present(table, ("image",), path)[0]].astype(str))
 
 
-def corrections_of(path: str | os.PathLike[str], images: Collection[str]) -> list[str]:
+def corrections_of(path: AnyPath, images: Collection[str]) -> list[str]:
     """Rows of a table of corrections, as texts, of some images.
 
     Raises
@@ -86,7 +85,7 @@ def corrections_of(path: str | os.PathLike[str], images: Collection[str]) -> lis
     return [",".join(map(str, row)) for row in table[names.isin(images)].to_numpy().tolist()]
 
 
-def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:
+def _column(table: pd.DataFrame, pattern: str, path: AnyPath) -> str:
     for name in table.columns:
         if re.fullmatch(pattern, name):
             return str(name)
@@ -95,7 +94,7 @@ def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> 
     )
 
 
-def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[str]) -> list[str]:
+def _present(table: pd.DataFrame, names: Iterable[str], path: AnyPath) -> list[str]:
     wanted = list(names)
     for name in wanted:
         _column(table, re.escape(name), path)
@@ -142,7 +141,7 @@ class Baselines(RootModel[dict[Annotated[str, Field(pattern=r"^(all|\d+x\d+)$")]
     """Baselines by image size, ``<width>x<height>`` or ``all``."""
 
 
-def read_baselines(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
+def read_baselines(path: AnyPath) -> dict[str, dict[str, Any]]:
     """Numbers of each baseline that the file states, by image size.
 
     Raises

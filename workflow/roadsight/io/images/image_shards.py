@@ -15,12 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bytes, Numbers
+from roadsight.base.arrays import AnyPath, Bytes, Numbers
 from roadsight.base.doubts import Doubt, tell_matches
-from roadsight.base.errors import InputError
+from roadsight.base.errors import InputError, unreadable
 from roadsight.io.images.exif import decoded_image
 from roadsight.io.records.atomic import WholeFile
 
+_SHARD = "a shard of images"  # what messages call it
 _ABOUT = "about.json"  # name of the description in the ZIP
 # The earliest date that a ZIP can hold, so that the same images give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -39,7 +40,7 @@ class ImageShardWriter(WholeFile):
     path : the ZIP to write. about : JSON description kept in it.
     """
 
-    def __init__(self, path: str | os.PathLike[str], about: dict[str, Any] | None = None) -> None:
+    def __init__(self, path: AnyPath, about: dict[str, Any] | None = None) -> None:
         super().__init__(path)
         self._about = about or {}
 
@@ -69,13 +70,13 @@ class ImageShard:
     InputError : the file is missing or damaged.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = os.fspath(path)
         try:
             self._zip = zipfile.ZipFile(path)
             self.about: dict[str, Any] = json.loads(self._zip.read(_ABOUT))
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise self._damaged(error) from error
+            raise unreadable(_SHARD, self._path, error) from error
         self.names = [n.removesuffix(".png") for n in self._zip.namelist() if n != _ABOUT]
         self._known = frozenset(self.names)
 
@@ -93,18 +94,11 @@ class ImageShard:
         try:
             content = np.frombuffer(self._zip.read(f"{name}.png"), np.uint8)
         except (KeyError, zipfile.BadZipFile, OSError) as error:
-            raise self._damaged(error) from error
+            raise unreadable(_SHARD, self._path, error) from error
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
         if image is None:
-            raise self._damaged(f"{name} is no image")
+            raise unreadable(_SHARD, self._path, f"{name} is no image")
         return image
-
-    def _damaged(self, problem: object) -> InputError:
-        return InputError(
-            f"cannot be read as a shard of images ({problem})",
-            where=self._path,
-            hint="delete it and run the workflow again",
-        )
 
 
 class JpegShardWriter(WholeFile):
@@ -154,7 +148,7 @@ class LabelImages:
     InputError : there is no such folder.
     """
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
+    def __init__(self, folder: AnyPath) -> None:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise InputError("is no folder", where=str(folder))

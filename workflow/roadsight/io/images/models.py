@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roadsight.base.arrays import Floats32
+from roadsight.base.arrays import AnyPath, Floats32
 from roadsight.base.errors import InputError
 from roadsight.base.section import check_path, validated
 from roadsight.base.texts import read_yaml
-from roadsight.io.images.external_weights import missing_weights, network_sha256, weight_files
+from roadsight.io.records.companions import missing_weights, network_sha256, weight_files
 from roadsight.placement.depth.unet import MULTIPLE_CELLS, NETWORK_MODELS, STEP_DEG
 from roadsight.poles.images.networks import LabelMap, Manifest
 
@@ -42,7 +42,7 @@ class Model:
     where: str
 
 
-def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
+def open_model(path: AnyPath, threads: int = 1) -> Model:
     """Open the network that a manifest describes, on the CPU, deterministic.
 
     Parameters
@@ -88,7 +88,7 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
     return Model(manifest, session, input_name, _checked_outputs(manifest, session, where), where)
 
 
-def read_label_map(path: str | os.PathLike[str]) -> LabelMap:
+def read_label_map(path: AnyPath) -> LabelMap:
     """Label map of a folder of label images.
 
     Raises
@@ -244,7 +244,7 @@ class DepthNetwork:
     InputError : the file is missing, damaged or a network for something else.
     """
 
-    def __init__(self, path: str | os.PathLike[str], threads: int = 1) -> None:
+    def __init__(self, path: AnyPath, threads: int = 1) -> None:
         if not Path(path).is_file():
             raise InputError("no such file", where="lidar.network", found=path, hint=_HINT)
         self._session = open_session(Path(path), threads)
@@ -285,7 +285,7 @@ class DepthNetwork:
         return found
 
 
-def network_for(model: str, path: str | os.PathLike[str] | None) -> DepthNetwork | None:
+def network_for(model: str, path: AnyPath | None) -> DepthNetwork | None:
     """Network of a model of depth maps, opened where the model needs one and a file is named.
 
     Raises

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Collection
 from pathlib import Path
 
+from roadsight.base.arrays import AnyPath
 from roadsight.base.doubts import tell_named
 from roadsight.base.shards import deal
 from roadsight.io.images.camera_tables import posed_images
@@ -15,9 +15,7 @@ from roadsight.io.images.videologs import ImageSource, every_nth, read_videolog_
 log = logging.getLogger(__name__)
 
 
-def dealt_images(
-    table: str | os.PathLike[str], images: str, shards: int, every: int
-) -> dict[str, int]:
+def dealt_images(table: AnyPath, images: str, shards: int, every: int) -> dict[str, int]:
     """Shard of each image of a videolog, of which every ``every``-th image is used.
 
     Raises
@@ -27,9 +25,7 @@ def dealt_images(
     return deal(every_nth(read_videolog_table(table, ImageSource(images)), every)["image"], shards)
 
 
-def files_by_shard(
-    table: str | os.PathLike[str], folders: list[str], shards: int, every: int
-) -> list[list[Path]]:
+def files_by_shard(table: AnyPath, folders: list[str], shards: int, every: int) -> list[list[Path]]:
     """Files that belong to the images of each shard, by the names in the videolog's table.
 
     Parameters
@@ -66,7 +62,7 @@ def files_by_shard(
     return [sorted(files) for files in found]
 
 
-def videolog_images(table: str | os.PathLike[str], images: str) -> set[str]:
+def videolog_images(table: AnyPath, images: str) -> set[str]:
     """Names of all images of a videolog.
 
     Raises
@@ -91,7 +87,7 @@ def check_corrections(known: Collection[str], corrections: str) -> None:
     tell_named(log, what, posed_images(corrections), set(known), corrections)
 
 
-def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:
+def posed_share(table: AnyPath, images: str, cameras: str) -> float:
     """Share of a videolog's images that a table of cameras names.
 
     Raises

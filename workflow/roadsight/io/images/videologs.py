@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import zipfile
 from collections.abc import Callable, Iterable
@@ -13,7 +12,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import AnyPath, Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 from roadsight.io.records.text_tables import read_cells
@@ -56,7 +55,7 @@ class ImageSource:
     InputError : there is no such place, a ZIP file is damaged, or two of them hold one name.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self.path = Path(path)
         self._zips: dict[str, tuple[zipfile.ZipFile, str]] = {}
         if self.path.is_dir():
@@ -184,7 +183,7 @@ def natural_key(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
 
-def read_videolog_table(path: str | os.PathLike[str], source: ImageSource) -> pd.DataFrame:
+def read_videolog_table(path: AnyPath, source: ImageSource) -> pd.DataFrame:
     """Where the images were taken: a CSV table, or the images' own EXIF.
 
     Parameters
@@ -300,7 +299,7 @@ def _from_exif(source: ImageSource) -> pd.DataFrame:
     return table.drop(columns="time")
 
 
-def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
+def read_positions(path: AnyPath) -> tuple[Floats, Floats]:
     """Latitude and longitude, degrees, of the images of a videolog that have both.
 
     Raises

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import rasterio
 from pyproj import CRS
@@ -11,7 +9,7 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 
-from roadsight.base.arrays import Bytes
+from roadsight.base.arrays import AnyPath, Bytes
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
@@ -20,7 +18,7 @@ _BYTE = 255
 
 
 def read_orthophoto(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     frame: Frame,
     west_m: float,
     north_m: float,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +10,11 @@ from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.arrays import AnyPath, Bools, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import with_heights
 from roadsight.geometry.frames import Frame
-from roadsight.io.records.atomic import atomic_path
-from roadsight.io.records.whole import check_raster
+from roadsight.io.records.atomic import atomic_path, check_raster
 
 _CONTENT, _HEIGHT = "CONTENT", "height"  # tag of rasters that this workflow wrote, and its value
 _NODATA = -9999.0
@@ -77,7 +75,7 @@ class Raster:
 
 
 def write_raster(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     values: ArrayLike,
     frame: Frame,
     west_m: float,
@@ -127,7 +125,7 @@ def write_raster(
         check_raster(temporary)
 
 
-def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
+def read_raster(path: AnyPath, frame: Frame) -> Raster:
     """Read what `write_raster` wrote, heights in local metres.
 
     Raises

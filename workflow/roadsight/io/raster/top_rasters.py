@@ -6,7 +6,6 @@ out in blocks, so that memory is bounded by one row of blocks.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,11 @@ from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window
 
-from roadsight.base.arrays import Bytes, Floats, Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.arrays import AnyPath, Bytes, Floats, Floats32
+from roadsight.base.errors import unreadable
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import crs_wkt, unit_text
-from roadsight.io.records.atomic import WholeFile
-from roadsight.io.records.whole import check_raster
+from roadsight.io.records.atomic import WholeFile, check_raster
 
 if TYPE_CHECKING:  # compiled loops that a reader does not need
     from roadsight.scene.voxel_classes import Columns, VoxelGrid
@@ -45,7 +43,7 @@ class TopRasterWriter(WholeFile):
     path : GeoTIFF to write. frame : of the site. grid : of the voxels.
     """
 
-    def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
+    def __init__(self, path: AnyPath, frame: Frame, grid: VoxelGrid) -> None:
         super().__init__(path)
         self._frame, self._grid = frame, grid
         self._block, self._written = -1, 0
@@ -156,7 +154,7 @@ class TopRaster:
 
 
 def read_top(
-    path: str | os.PathLike[str], frame: Frame, layers: Collection[str] = ("height_m", "road_share")
+    path: AnyPath, frame: Frame, layers: Collection[str] = ("height_m", "road_share")
 ) -> TopRaster:
     """Read what `TopRasterWriter` wrote, heights in local metres.
 
@@ -175,11 +173,7 @@ def read_top(
             cls, height, share = _layers(raster, frame, layers)
             transform = raster.transform
     except (RasterioError, OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as an overhead view of the cloud ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("an overhead view of the cloud", path, error) from error
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
     return TopRaster(cls, height, share, west_m, north_m, cell_size_m)

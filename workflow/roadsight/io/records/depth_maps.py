@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -21,8 +20,8 @@ import pyarrow.parquet as pq
 import zstandard
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Floats32
-from roadsight.base.errors import InputError
+from roadsight.base.arrays import AnyPath, Floats32
+from roadsight.base.errors import InputError, unreadable
 from roadsight.base.kernels import compiled
 from roadsight.io.records.atomic import WholeFile, atomic_path
 from roadsight.io.records.tables import open_parquet
@@ -71,7 +70,7 @@ class DepthMapWriter(WholeFile):
     info : what the maps share.
     """
 
-    def __init__(self, path: str | os.PathLike[str], info: DepthMapInfo) -> None:
+    def __init__(self, path: AnyPath, info: DepthMapInfo) -> None:
         super().__init__(path)
         about = {"version": _VERSION, **asdict(info)}
         self._info = info
@@ -118,7 +117,7 @@ class DepthMaps:
     InputError : the file is missing, damaged, or holds no depth maps.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = Path(path)
         try:
             self._file = open_parquet(self._path)
@@ -127,7 +126,7 @@ class DepthMaps:
                 raise ValueError("written by another version")
             self.info = DepthMapInfo(**about)
         except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def __len__(self) -> int:
         return int(self._file.metadata.num_rows)
@@ -144,7 +143,7 @@ class DepthMaps:
                 for candidate, steps in zip(*batch.columns, strict=True):
                     yield candidate.as_py(), self.decode(steps.as_buffer())
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, Floats32]]:
         """As iteration gives them, of these candidates only; what is not there is left out.
@@ -157,7 +156,7 @@ class DepthMaps:
             for candidate, content in self.stored(candidates):
                 yield candidate, self.decode(content)
         except (zstandard.ZstdError, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def candidates(self) -> list[str]:
         """Candidates in the order of their maps.
@@ -170,7 +169,7 @@ class DepthMaps:
             names = self._file.read(["candidate"], use_threads=False)["candidate"]
             return [str(name) for name in names.to_pylist()]
         except (OSError, pa.ArrowException, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def stored(self, candidates: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Maps of these candidates as the file stores them, group by group.
@@ -190,7 +189,7 @@ class DepthMaps:
                 for row in rows.to_pylist():
                     yield row["candidate"], row["steps"]
         except (OSError, pa.ArrowException, ValueError) as error:
-            raise self._damaged(error) from error
+            raise unreadable("depth maps", self._path, error) from error
 
     def decode(self, content: pa.Buffer | bytes) -> Floats32:
         """The map that `stored` gives as bytes.
@@ -205,13 +204,6 @@ class DepthMaps:
         if len(raw) != size:
             raise ValueError(f"a depth map of {len(raw)} bytes instead of {size}")
         return _decode(np.frombuffer(raw, "<u2").reshape(shape), self.info.step_m)
-
-    def _damaged(self, error: Exception) -> InputError:
-        return InputError(
-            f"cannot be read as depth maps ({error})",
-            where=str(self._path),
-            hint="delete it and run the workflow again",
-        )
 
 
 @compiled()
@@ -276,13 +268,13 @@ def stack_pairs(pairs: Sequence[tuple[NDArray[np.floating], NDArray[np.floating]
     return DepthPairs(*(np.stack([stepped(pair[part]) for pair in pairs]) for part in (0, 1)))
 
 
-def write_pairs(path: str | os.PathLike[str], pairs: DepthPairs) -> None:
+def write_pairs(path: AnyPath, pairs: DepthPairs) -> None:
     """Write the pairs of a scene; equal pairs give equal bytes."""
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **{part: getattr(pairs, part) for part in _PARTS})
 
 
-def read_pairs(path: str | os.PathLike[str]) -> DepthPairs:
+def read_pairs(path: AnyPath) -> DepthPairs:
     """Pairs of a scene.
 
     Raises
@@ -308,7 +300,7 @@ def read_pairs(path: str | os.PathLike[str]) -> DepthPairs:
     return pairs
 
 
-def read_dataset(folder: str | os.PathLike[str], truth: str) -> dict[str, DepthPairs]:
+def read_dataset(folder: AnyPath, truth: str) -> dict[str, DepthPairs]:
     """Pairs of every scene in a folder by name, ordered by it.
 
     Parameters

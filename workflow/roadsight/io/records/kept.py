@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.arrays import AnyPath
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 from roadsight.io.records.sources import sha256
@@ -34,7 +35,7 @@ def key_of(*parts: Any) -> str:
     return digest.hexdigest()[:32]
 
 
-def key_of_step(files: Iterable[str | os.PathLike[str]], *settings: Any) -> str:
+def key_of_step(files: Iterable[AnyPath], *settings: Any) -> str:
     """Key of all that a step's rows share: inputs by content, settings, source code, libraries."""
     known = [sha256(path) for path in files]
     own = {
@@ -55,7 +56,7 @@ class Kept:
     step : key of all that rows share.
     """
 
-    def __init__(self, path: str | os.PathLike[str] | None, step: str) -> None:
+    def __init__(self, path: AnyPath | None, step: str) -> None:
         self._path = None if path is None else Path(path)
         self._step = step
         self._rows: dict[str, str] = {}
@@ -81,7 +82,7 @@ class Kept:
         assert self._path is not None
         return self._path
 
-    def keep(self, output: str | os.PathLike[str], keys: Mapping[str, str]) -> None:
+    def keep(self, output: AnyPath, keys: Mapping[str, str]) -> None:
         """Keep an output that is complete, with the keys of its rows: a link, no second copy."""
         if self._path is None:
             return

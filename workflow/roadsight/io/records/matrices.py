@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from roadsight.base.arrays import Floats, Ints, Numbers
+from roadsight.base.arrays import AnyPath, Floats, Ints, Numbers
 from roadsight.base.errors import InputError
 
 _NPZ = "a sparse matrix written by scipy.sparse.save_npz"
@@ -19,7 +18,7 @@ _MOST = 100_000_000
 _NPY = "a 1-D array of numbers written by numpy.save"
 
 
-def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
+def read_matrix(path: AnyPath) -> sparse.csr_matrix:
     """Where a SciPy ``.npz`` file has positive entries, as a matrix of bool.
 
     Repeated entries are not added up in the file's type, in which they may wrap to 0.
@@ -54,7 +53,7 @@ def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     return matrix
 
 
-def read_vector(path: str | os.PathLike[str], dimensions: int = 1) -> NDArray[np.generic]:
+def read_vector(path: AnyPath, dimensions: int = 1) -> NDArray[np.generic]:
     """Array of numbers of a NumPy ``.npy`` file, 1-D if not asked for otherwise.
 
     Raises
@@ -75,7 +74,7 @@ def read_vector(path: str | os.PathLike[str], dimensions: int = 1) -> NDArray[np
     return values
 
 
-def read_set_list(path: str | os.PathLike[str]) -> tuple[sparse.csr_matrix, Floats]:
+def read_set_list(path: AnyPath) -> tuple[sparse.csr_matrix, Floats]:
     """Matrix (sets, elements) and costs of a text file with one line for each set.
 
     First line: numbers of elements and sets. Then per set: its cost, its elements (from 0).
@@ -100,7 +99,7 @@ def read_set_list(path: str | os.PathLike[str]) -> tuple[sparse.csr_matrix, Floa
     return _pattern(path, rows, elements), costs
 
 
-def read_element_list(path: str | os.PathLike[str]) -> sparse.csr_matrix:
+def read_element_list(path: AnyPath) -> sparse.csr_matrix:
     """Matrix (sets, elements) of a text file that lists for each element the sets that cover it.
 
     First the numbers of elements and sets; then per element its number, how many sets cover it,
@@ -136,12 +135,12 @@ def _check_size(rows: int, columns: int) -> None:
         raise ValueError(f"{rows} rows and {columns} columns are more than {_MOST}")
 
 
-def _check_exists(path: str | os.PathLike[str]) -> None:
+def _check_exists(path: AnyPath) -> None:
     if not Path(path).is_file():
         raise InputError("is no file", where=str(path), hint="check the path")
 
 
-def _numbers_by_line(path: str | os.PathLike[str]) -> list[Floats]:
+def _numbers_by_line(path: AnyPath) -> list[Floats]:
     _check_exists(path)
     try:
         text = Path(path).read_text(encoding="ascii")
@@ -154,9 +153,7 @@ def _numbers_by_line(path: str | os.PathLike[str]) -> list[Floats]:
     return lines
 
 
-def _pattern(
-    path: str | os.PathLike[str], rows: Sequence[Numbers], columns: int
-) -> sparse.csr_matrix:
+def _pattern(path: AnyPath, rows: Sequence[Numbers], columns: int) -> sparse.csr_matrix:
     try:
         _check_size(len(rows), columns)
     except ValueError as error:

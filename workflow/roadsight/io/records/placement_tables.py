@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -11,20 +10,17 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import union_categoricals
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.tables import read_about, read_table, write_table
-from roadsight.placement.candidates.tilt import tilt_rotation
-from roadsight.placement.sight.lanes import Traffic, rasterise_lanes
-from roadsight.placement.sight.passing import CAR, TRUCK
+from roadsight.placement.sensors.poses import tilt_rotation
+from roadsight.placement.sight.lanes import CAR, TRUCK, Traffic, rasterise_lanes
 
 _COLUMNS = ["candidate", "target", "hits"]
 _AVAILABILITY = "availability"
 
 
-def write_detections(
-    path: str | os.PathLike[str], detections: pd.DataFrame, about: dict[str, Any]
-) -> None:
+def write_detections(path: AnyPath, detections: pd.DataFrame, about: dict[str, Any]) -> None:
     """Write the detections of one sensor.
 
     Parameters
@@ -38,9 +34,7 @@ def write_detections(
     write_table(path, detections[[*_COLUMNS, *optional]], about)
 
 
-def read_seen_targets(
-    path: str | os.PathLike[str], allowed: set[str] | None = None
-) -> tuple[str, pd.Index]:
+def read_seen_targets(path: AnyPath, allowed: set[str] | None = None) -> tuple[str, pd.Index]:
     """Sensor of one file and the targets that it sees from anywhere, each once.
 
     Parameters
@@ -61,7 +55,7 @@ def read_seen_targets(
     return _sensor_of(path), pd.Index(targets.unique().astype(str))
 
 
-def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
+def read_detections(paths: Iterable[AnyPath]) -> pd.DataFrame:
     """Detections of several files, one after the other.
 
     Returns
@@ -91,7 +85,7 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _sensor_of(path: str | os.PathLike[str]) -> str:
+def _sensor_of(path: AnyPath) -> str:
     sensor = read_about(path).get("sensor")
     if not isinstance(sensor, str):
         raise InputError(
@@ -116,7 +110,7 @@ class SiteTraffic:
     availability: float
 
 
-def read_traffic(path: str | os.PathLike[str]) -> SiteTraffic:
+def read_traffic(path: AnyPath) -> SiteTraffic:
     """Read the lanes that `trace_lanes` wrote as points on their middle lines.
 
     Raises
@@ -136,7 +130,7 @@ _NORMAL = ["normal_x", "normal_y", "normal_z"]
 FOR_SENSORS = "for_sensors"
 
 
-def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[str, Floats]:
+def read_poses(path: AnyPath, sensor: str | None = None) -> dict[str, Floats]:
     """Pose (4,) of each candidate in the table's order: x, y, z in local metres and yaw in degrees.
 
     Parameters
@@ -162,7 +156,7 @@ def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[
     return dict(zip(frame["candidate"].astype(str), poses, strict=True))
 
 
-def read_tilts(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Floats]:
+def read_tilts(paths: Iterable[AnyPath]) -> dict[str, Floats]:
     """Rotation (3, 3) from the levelled to the mounted sensor of each candidate that is tilted.
 
     Without any file every mount is levelled, and the result empty.

@@ -15,6 +15,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.arrays import AnyPath
+
 PACKAGE = "roadsight"
 _UNKNOWN = "unknown"
 _HOUR_S = 3600
@@ -91,7 +93,7 @@ class RunRecord:
 _Step = tuple[float, float, float, float, bool]
 
 
-def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> RunRecord:
+def run_record(benchmarks: Iterable[AnyPath], version: str) -> RunRecord:
     """The record of a run whose last step is this one.
 
     Parameters

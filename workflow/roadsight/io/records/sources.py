@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.arrays import AnyPath
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
 
@@ -219,7 +220,7 @@ def package_digest() -> str:
 # SHA-256 of input files, remembered so that an unchanged file is read once.
 
 
-def sha256(path: str | os.PathLike[str]) -> str:
+def sha256(path: AnyPath) -> str:
     """SHA-256 of a file's content."""
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -233,7 +234,7 @@ class CachedChecksums:
     path : the JSON file; a damaged or missing one is started anew.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self._path = Path(path)
         try:
             known = read_json(self._path)
@@ -241,14 +242,14 @@ class CachedChecksums:
             known = None
         self._known: dict[str, Any] = known if isinstance(known, dict) else {}
 
-    def of(self, path: str | os.PathLike[str]) -> str:
+    def of(self, path: AnyPath) -> str:
         """Checksum of a file, "missing" if there is none."""
         checksum, is_new = self._look_up(path)
         if is_new:
             write_json(self._path, self._known)
         return checksum
 
-    def of_all(self, paths: Iterable[str | os.PathLike[str]]) -> str:
+    def of_all(self, paths: Iterable[AnyPath]) -> str:
         """One checksum of several files and their names, in any order; remembered one by one."""
         found = {str(path): self._look_up(path) for path in paths}
         if any(is_new for _, is_new in found.values()):
@@ -256,7 +257,7 @@ class CachedChecksums:
         lines = [f"{checksum}  {path}\n" for path, (checksum, _) in sorted(found.items())]
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
-    def _look_up(self, path: str | os.PathLike[str]) -> tuple[str, bool]:
+    def _look_up(self, path: AnyPath) -> tuple[str, bool]:
         """Checksum of a file, and whether it was not known before."""
         file = Path(path).absolute()
         if not file.is_file():

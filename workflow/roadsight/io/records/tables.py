@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import DTypeLike, NDArray
 
-from roadsight.base.errors import InputError
+from roadsight.base.arrays import AnyPath
+from roadsight.base.errors import unreadable
 from roadsight.io.records.atomic import atomic_path
 
 if TYPE_CHECKING:  # short steps without tables of pandas do not wait for it
@@ -22,9 +22,7 @@ if TYPE_CHECKING:  # short steps without tables of pandas do not wait for it
 _KEY = b"roadsight"
 
 
-def write_table(
-    path: str | os.PathLike[str], frame: pd.DataFrame, about: dict[str, Any] | None = None
-) -> None:
+def write_table(path: AnyPath, frame: pd.DataFrame, about: dict[str, Any] | None = None) -> None:
     """Write ``frame`` with the JSON description ``about`` in the file's metadata."""
     table = pa.Table.from_pandas(frame, preserve_index=False, nthreads=1)
     metadata = {_KEY: json.dumps(about or {}, sort_keys=True).encode()}
@@ -37,7 +35,7 @@ def write_table(
         )
 
 
-def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -> pd.DataFrame:
+def read_table(path: AnyPath, columns: list[str] | None = None) -> pd.DataFrame:
     """Read a table, or some of its columns.
 
     Raises
@@ -50,7 +48,7 @@ def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -
         return file.read(columns, use_threads=False).to_pandas(use_threads=False)
 
 
-def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_about(path: AnyPath) -> dict[str, Any]:
     """Description that `write_table` stored, empty if none.
 
     Raises
@@ -63,15 +61,11 @@ def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def _readable(path: str | os.PathLike[str]) -> Iterator[None]:
+def _readable(path: AnyPath) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, KeyError) as error:
-        raise InputError(
-            f"cannot be read as a Parquet table ({error})",
-            where=str(path),
-            hint="delete it and run the workflow again",
-        ) from error
+        raise unreadable("a Parquet table", path, error) from error
 
 
 # Parquet files that are read without threads, and columns between NumPy and Arrow without a copy.
@@ -79,7 +73,7 @@ def _readable(path: str | os.PathLike[str]) -> Iterator[None]:
 # Arrow's own conversions load pandas first, which takes a short step a tenth of its time.
 
 
-def open_parquet(path: str | os.PathLike[str]) -> pq.ParquetFile:
+def open_parquet(path: AnyPath) -> pq.ParquetFile:
     """File whose pages are checked, and which no thread of Arrow's reads ahead.
 
     A process that may not grow cannot start one, and then Arrow waits for it for ever. Its methods

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,11 +10,11 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
-from roadsight.io.records.sighting_tables import read_text_table
+from roadsight.io.records.text_tables import read_text_table
 from roadsight.io.vector.vector_sources import EXCHANGED, is_near, load_local
 from roadsight.io.vector.vectors import read_lines
 
@@ -24,7 +23,7 @@ _NAMES = ("id", "name")
 
 
 def read_points(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     frame: Frame,
     default_crs: str | None = None,
     attributes: Sequence[str] = (),
@@ -87,7 +86,7 @@ def _named(
     table: pd.DataFrame | gpd.GeoDataFrame,
     attributes: Sequence[str],
     texts: Sequence[str],
-    path: str | os.PathLike[str],
+    path: AnyPath,
 ) -> pd.DataFrame:
     column = next((name for name in _NAMES if name in table), None)
     names = [f"t{n}" for n in range(1, len(xy_m) + 1)]
@@ -103,7 +102,7 @@ def _named(
 
 
 def attribute_numbers(
-    table: pd.DataFrame | gpd.GeoDataFrame, name: str, where: str | os.PathLike[str]
+    table: pd.DataFrame | gpd.GeoDataFrame, name: str, where: AnyPath
 ) -> np.ndarray:
     """Values of an attribute, NaN where it is not given.
 
@@ -153,9 +152,7 @@ def read_seeds(text: str | None, frame: Frame, where: str) -> Floats | None:
     return frame.to_local(np.array(pairs)) if pairs else None
 
 
-def read_track(
-    path: str | os.PathLike[str] | None, frame: Frame, crs: str | None = None
-) -> Floats | None:
+def read_track(path: AnyPath | None, frame: Frame, crs: str | None = None) -> Floats | None:
     """Where a vehicle drove (k, 2), local metres: the longest line of a file; None without one.
 
     ``crs`` is that of a file that names none.
@@ -174,7 +171,7 @@ _HEIGHT = "height_m"
 _HIGHEST_M = 100.0  # a mount that is said to be higher is taken for a mistake of unit or column
 
 
-def read_mounts(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
+def read_mounts(path: AnyPath, frame: Frame) -> pd.DataFrame:
     """Poles: name (unique), x, y (local metres), top_m (metres; NaN where height_m is not given).
 
     Parameters

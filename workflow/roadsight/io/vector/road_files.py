@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,12 +14,12 @@ import pyogrio
 import shapely
 from pyproj import CRS, Transformer
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, parse_crs
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.companions import split_layer
 from roadsight.io.records.text_tables import read_cells
-from roadsight.io.vector.layer_names import split_layer
 from roadsight.io.vector.vector_sources import load_local
 from roadsight.poles.risk.inventory import COLUMNS
 from roadsight.poles.risk.routes import UNITS_M, Route
@@ -31,7 +30,7 @@ _ROUTE = ("route", "route_id", "routeid", "road", "name", "id", "edge")
 
 
 def read_inventory(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
+    path: AnyPath, frame: Frame, default_crs: str | None = None
 ) -> tuple[pd.DataFrame, list[str], list[Route]]:
     """Segments of an inventory, where each stands in its file, and their lines if it has any.
 
@@ -70,7 +69,7 @@ def read_inventory(
 
 
 def read_routes(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None, unit: str = "m"
+    path: AnyPath, frame: Frame, default_crs: str | None = None, unit: str = "m"
 ) -> list[Route]:
     """Routes with measures, in local metres.
 
@@ -121,7 +120,7 @@ def read_routes(
 
 
 def read_barriers(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
+    path: AnyPath, frame: Frame, default_crs: str | None = None
 ) -> tuple[list[Floats], list[str]]:
     """Lines of barriers (n, 2) in local metres, and their names.
 
@@ -290,9 +289,7 @@ def _stored_measures(file: str, layer: str | None) -> list[list[Floats] | None]:
     return found
 
 
-def _route_table(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None
-) -> list[Route]:
+def _route_table(path: AnyPath, frame: Frame, default_crs: str | None) -> list[Route]:
     """Routes of a CSV table, one vertex a row."""
     cells = read_cells(path)
     places = [f"line {n + 2}" for n in range(len(cells))]

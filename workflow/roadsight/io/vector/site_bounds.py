@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import AnyPath, Bools, Floats
 from roadsight.base.doubts import FEW, Doubt, tell_matches
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
@@ -30,7 +30,7 @@ def tell_near(
     what: str,
     geometries: NDArray | Floats,
     about: dict[str, Any],
-    where: str | os.PathLike[str],
+    where: AnyPath,
 ) -> list[Doubt]:
     """Say how many features lie at the site.
 

@@ -19,8 +19,8 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, parse_crs
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.companions import split_layer
 from roadsight.io.records.text_tables import read_cells
-from roadsight.io.vector.layer_names import split_layer
 
 _GEOJSON = (".geojson", ".json")  # formats whose CRS is WGS 84 unless the file names another
 _TABLE = (".csv",)  # formats that are read as tables of vertices

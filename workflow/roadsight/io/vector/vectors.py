@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,12 +14,11 @@ import pyogrio
 import shapely
 from pyproj import CRS, Transformer
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
-from roadsight.io.records.atomic import atomic_path
-from roadsight.io.records.whole import check_geojson, check_geopackage
+from roadsight.io.records.atomic import atomic_path, check_geojson, check_geopackage
 from roadsight.io.vector.vector_sources import load_local, map_coordinates, read_features
 
 KINDS = ("edge", "median", "line")  # kinds of lines along which sensors may stand
@@ -34,7 +32,7 @@ _GEOJSON_DECIMALS = "9"  # of degrees: a tenth of a millimetre
 
 
 def write_layers(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     layers: Mapping[str, gpd.GeoDataFrame],
     frame: Frame,
     empty: Mapping[str, str] | None = None,
@@ -58,7 +56,7 @@ def write_layers(
         check_geopackage(temporary, {name: len(features) for name, features in layers.items()})
 
 
-def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, frame: Frame) -> None:
+def write_geojson(path: AnyPath, features: gpd.GeoDataFrame, frame: Frame) -> None:
     """Write GeoJSON: WGS 84 degrees with z in metres, or native coordinates of a local site."""
     native = native_features(features, frame)
     options = {"COORDINATE_PRECISION": _GEOJSON_DECIMALS}
@@ -79,7 +77,7 @@ def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, fram
         check_geojson(temporary, len(native))
 
 
-def read_layer(path: str | os.PathLike[str], layer: str, frame: Frame) -> gpd.GeoDataFrame:
+def read_layer(path: AnyPath, layer: str, frame: Frame) -> gpd.GeoDataFrame:
     """Features of a layer that `write_layers` wrote, in local metres.
 
     Raises
@@ -92,9 +90,7 @@ def read_layer(path: str | os.PathLike[str], layer: str, frame: Frame) -> gpd.Ge
     return gpd.GeoDataFrame(_moved(attributes, frame, -1), geometry=local)
 
 
-def read_lines(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
-) -> gpd.GeoDataFrame:
+def read_lines(path: AnyPath, frame: Frame, default_crs: str | None = None) -> gpd.GeoDataFrame:
     """Digitised lines of a user in local metres.
 
     Reads GeoJSON, GeoPackage, Shapefile and other GDAL vector files, and CSV tables with one vertex
@@ -136,9 +132,7 @@ def read_lines(
     return lines
 
 
-def read_polygons(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
-) -> gpd.GeoDataFrame:
+def read_polygons(path: AnyPath, frame: Frame, default_crs: str | None = None) -> gpd.GeoDataFrame:
     """Polygons of a user in local metres, without z, one row for each part, attributes kept.
 
     Parameters

@@ -11,9 +11,8 @@ from shapely import LineString, get_coordinates, line_interpolate_point, line_lo
 from shapely import points as shapely_points
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.light import reflectivity_range_m
-from roadsight.placement.sensors.sensors import AnySensor, Sensor
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Rosette, Sensor
 
 # The road goes on before and beyond its longest edge as the edge does over this length: longer than
 # the rounding of a corner, at which automatic edges end.

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Floats, Floats32
-from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.light import rise_m
-from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sensors.sensors import Camera, Radar, Rosette, Sensor
 
 # Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
 # hides all that is behind it, so that a target which would need the beam is not taken for seen.

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.rays import (
     Raster,
     camera_raster,
@@ -22,8 +21,7 @@ from roadsight.placement.sensors.rays import (
     rosette_raster,
     spinning_raster,
 )
-from roadsight.placement.sensors.sensors import AnySensor
-from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, Rosette, Sensor
 from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.posed import Panorama, weigh_by_height
 from roadsight.placement.sight.sight import Sight, as_met

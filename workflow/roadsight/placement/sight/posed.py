@@ -14,10 +14,10 @@ import numpy as np
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sensors.rays import PINHOLE, SPHERICAL, Raster
-from roadsight.placement.sensors.spinning import Sensor
-from roadsight.placement.sight.footprints import CLEAN_SHARE
+from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.kinds import Packed
 from roadsight.placement.sight.shapes import (
+    CLEAN_SHARE,
     ball_around,
     entered_at,
     footprint_share,

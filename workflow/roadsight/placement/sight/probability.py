@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Numbers
-from roadsight.placement.sensors.aimed import Camera, Rosette
-from roadsight.placement.sensors.sensors import AnySensor, Sensor
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Rosette, Sensor
 
 # Logarithm of the most points that are asked for; a flat curve would ask for more than a number
 # holds.

@@ -13,9 +13,8 @@ from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows, count_hits, rows_across
-from roadsight.placement.sight.footprints import count_shared_hits
 from roadsight.placement.sight.kinds import Box, Cylinder, Shape
-from roadsight.placement.sight.shapes import beams_on
+from roadsight.placement.sight.shapes import beams_on, count_shared_hits
 
 
 @dataclass(frozen=True)

@@ -273,13 +273,23 @@ def _descend_by_parity(
     return sets, share, tried
 
 
+_USUAL = 2.0**10  # coefficients between this and its inverse are taken as they are
+
+
 @dataclass(frozen=True)
 class Constraint:
-    """``sum value_k x_index_k >= low``, all of them whole numbers."""
+    """``sum value_k x_index_k >= low``; of covers, all of them are whole numbers."""
 
     index: Ints32
     value: Floats
     low: float
+
+    def scaled(self) -> Constraint:
+        """The same in coefficients of the size of 1: smaller ones drown in solvers' tolerances."""
+        size = float(np.abs(self.value).max(initial=0.0))
+        if not size or 1 / _USUAL < size < _USUAL:
+            return self
+        return Constraint(self.index, self.value / size, self.low / size)
 
 
 def stacked(constraints: list[Constraint], choices: int) -> sparse.csr_matrix:

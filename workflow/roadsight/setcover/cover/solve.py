@@ -11,8 +11,8 @@ import highspy
 import numpy as np
 from scipy import sparse
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools, Ints
-from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools, Ints
-from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import objective_step
 from roadsight.setcover.cover.solve import solve_cover_problem

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
+from roadsight.setcover.common.cuts import Constraint
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,
@@ -25,7 +26,6 @@ from roadsight.setcover.common.problem import (
     CoverProblem,
     is_within,
 )
-from roadsight.setcover.plans.cuts import Cut
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.setcover.plans.whole import solve_whole
@@ -80,7 +80,7 @@ def coverage_curve(
     choices = len(deployment.problem.costs)
     base = replace(deployment, complete=False, worth=1.0, cost=np.zeros(choices), floor=0.0)
     points: list[CurvePoint] = []
-    pool: list[Cut] = []
+    pool: list[Constraint] = []
     ordered = sorted(set(budgets))
     for number, budget in enumerate(ordered):
         asked = replace(base, budget=budget)

@@ -8,12 +8,11 @@ than k_j times gives the most violated one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from roadsight.base.arrays import Floats, Ints, Ints32
 from roadsight.base.kernels import compiled
+from roadsight.setcover.common.cuts import Constraint
 from roadsight.setcover.plans.deployment import Deployment
 
 # Neighbouring targets that share a variable. With one variable for all targets the relaxation of
@@ -22,23 +21,6 @@ BLOCK_TARGETS = 100
 TARGETS_AT_ONCE = 60  # most unseen targets that join at once, those that miss most
 FAILURES_AT_ONCE = 30  # most cuts of failures that join at once, the most violated ones
 _VIOLATION = 1e-6  # what breaks a cut, as a share of its size: ten times the solver's own tolerance
-_USUAL = 2.0**10  # coefficients between this and its inverse are taken as they are
-
-
-@dataclass(frozen=True)
-class Cut:
-    """``sum value_k variable_k >= low``; variables are choices, then blocks."""
-
-    index: Ints32
-    value: Floats
-    low: float
-
-    def scaled(self) -> Cut:
-        """The same in coefficients of the size of 1: smaller ones drown in solvers' tolerances."""
-        size = float(np.abs(self.value).max(initial=0.0))
-        if not size or 1 / _USUAL < size < _USUAL:
-            return self
-        return Cut(self.index, self.value / size, self.low / size)
 
 
 class Cuts:
@@ -67,13 +49,13 @@ class Cuts:
         """How often each target is seen."""
         return _count(self.by_choice.indptr, self.by_choice.indices, x, self.targets)
 
-    def violated(self, x: Floats, value: Floats) -> list[Cut]:
+    def violated(self, x: Floats, value: Floats) -> list[Constraint]:
         """Cuts that shares of choices (m,) and values of blocks break."""
         count = self.count(x)
         crowded = np.flatnonzero(self.exclusive @ x > 1 + _VIOLATION)
         start, index = self.exclusive.indptr, self.exclusive.indices
         members = [np.sort(index[start[k] : start[k + 1]]).astype(np.int32) for k in crowded]
-        found = [Cut(choices, -np.ones(len(choices)), -1.0) for choices in members]
+        found = [Constraint(choices, -np.ones(len(choices)), -1.0) for choices in members]
         if self.deployment.complete:
             missing = self.need - count
             bad = np.flatnonzero(missing > _VIOLATION)
@@ -85,16 +67,16 @@ class Cuts:
             found += self._failures(x, count, value)
         return found
 
-    def first(self) -> list[Cut]:
+    def first(self) -> list[Constraint]:
         """Cuts to begin with: the budget, the floor, and the targets that few choices see."""
         found = []
         if np.isfinite(self.deployment.spendable):
             charge = np.asarray(self.deployment.charge)
             used = np.flatnonzero(charge > 0).astype(np.int32)
-            found.append(Cut(used, -charge[used], -self.deployment.spendable))
+            found.append(Constraint(used, -charge[used], -self.deployment.spendable))
         if self.blocks and self.deployment.floor > 0:
             every = np.arange(self.choices, self.choices + self.blocks, dtype=np.int32)
-            found.append(Cut(every, np.ones(self.blocks), self.deployment.floor))
+            found.append(Constraint(every, np.ones(self.blocks), self.deployment.floor))
         if self.deployment.complete:
             asked = np.flatnonzero(self.need > 0)
             seen = np.diff(self.by_target.indptr)[asked]
@@ -102,12 +84,12 @@ class Cuts:
             found += [self._target(int(t)) for t in np.sort(rare)]
         return found
 
-    def _target(self, target: int) -> Cut:
+    def _target(self, target: int) -> Constraint:
         start = self.by_target.indptr
         choices = self.by_target.indices[start[target] : start[target + 1]].astype(np.int32)
-        return Cut(choices, np.ones(len(choices)), float(self.need[target]))
+        return Constraint(choices, np.ones(len(choices)), float(self.need[target]))
 
-    def _coverage(self, count: Floats, value: Floats) -> list[Cut]:
+    def _coverage(self, count: Floats, value: Floats) -> list[Constraint]:
         part = np.minimum(count, self.need) * self.share
         seen = np.bincount(self.block, part, minlength=self.blocks)
         open_ = (count < self.need) & (self.weight > 0)
@@ -118,7 +100,7 @@ class Cuts:
             choices = np.flatnonzero(gain).astype(np.int32)
             index = np.append(choices, np.int32(self.choices + b))
             low = self.weight[these].sum() - self.block_weight[b]
-            found.append(Cut(index, np.append(gain[choices], -1.0), low))
+            found.append(Constraint(index, np.append(gain[choices], -1.0), low))
         return found
 
     def _gain(self, targets: Ints) -> Floats:
@@ -126,7 +108,7 @@ class Cuts:
         by_target = self.by_target
         return _gain(by_target.indptr, by_target.indices, targets, self.share, self.choices)
 
-    def _failures(self, x: Floats, count: Floats, value: Floats) -> list[Cut]:
+    def _failures(self, x: Floats, count: Floats, value: Floats) -> list[Constraint]:
         """What is left when a choice fails: ``keep V <= f(x without it)``; most violated first."""
         deployment = self.deployment
         goal = deployment.keep * (deployment.total if deployment.complete else value.sum())
@@ -142,7 +124,7 @@ class Cuts:
         cuts = [self._failure(choice, these) for _, choice, these in found[:FAILURES_AT_ONCE]]
         return cuts + (self._critical(x, count) if deployment.complete else [])
 
-    def _failure(self, choice: int, targets: Ints) -> Cut:
+    def _failure(self, choice: int, targets: Ints) -> Constraint:
         gain = self._gain(targets[self.weight[targets] > 0])
         gain[choice] = 0.0
         outside = self.deployment.total - self.weight[targets].sum()
@@ -150,13 +132,13 @@ class Cuts:
         if self.deployment.complete:
             low = keep * self.deployment.total - outside
             others = np.flatnonzero(gain).astype(np.int32)
-            return Cut(others, np.minimum(gain[others], low), low)
+            return Constraint(others, np.minimum(gain[others], low), low)
         others = np.flatnonzero(gain).astype(np.int32)
         every = np.arange(self.choices, self.choices + self.blocks, dtype=np.int32)
         value = np.concatenate([gain[others], np.full(self.blocks, -keep)])
-        return Cut(np.concatenate([others, every]), value, -outside)
+        return Constraint(np.concatenate([others, every]), value, -outside)
 
-    def _critical(self, x: Floats, count: Floats) -> list[Cut]:
+    def _critical(self, x: Floats, count: Floats) -> list[Constraint]:
         """Targets that are seen just often enough belong to choices that may lose so much each.
 
         ``u_j >= k_j + 1 - count_j`` marks such targets. Each is lost with any of its k_j choices,
@@ -173,9 +155,9 @@ class Cuts:
         if value @ x > low - _VIOLATION * max(1.0, low):
             return []
         choices = np.flatnonzero(value).astype(np.int32)
-        return [Cut(choices, value[choices], low)]
+        return [Constraint(choices, value[choices], low)]
 
-    def forbids(self, chosen: Ints) -> list[Cut]:
+    def forbids(self, chosen: Ints) -> list[Constraint]:
         """Cuts of whole choices that see every target but lose too much when one fails.
 
         What choice i alone keeps seen often enough must be seen by others that are not taken.
@@ -203,7 +185,7 @@ class Cuts:
             value = np.minimum(gain, short)
             value[choice] = -short
             choices = np.flatnonzero(value).astype(np.int32)
-            cuts.append(Cut(choices, value[choices], 0.0))
+            cuts.append(Constraint(choices, value[choices], 0.0))
         return cuts
 
     def _seen(self, choice: int) -> Ints32:

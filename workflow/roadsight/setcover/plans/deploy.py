@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Ints
-from roadsight.base.seeds import SEED
+from roadsight.setcover.common.cuts import Constraint
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     INFEASIBLE,
@@ -25,7 +26,7 @@ from roadsight.setcover.common.problem import (
 )
 from roadsight.setcover.cover.solve import solve_cover_problem
 from roadsight.setcover.plans.construct import Builder
-from roadsight.setcover.plans.cuts import Cut, Cuts
+from roadsight.setcover.plans.cuts import Cuts
 from roadsight.setcover.plans.deployment import ROUNDED, Deployment
 from roadsight.setcover.plans.tree import Master, Tree
 from roadsight.setcover.plans.whole import any_allowed
@@ -45,7 +46,7 @@ class Deployed:
     """
 
     cover: Cover
-    pool: list[Cut]
+    pool: list[Constraint]
 
 
 def solve_deployment(
@@ -54,7 +55,7 @@ def solve_deployment(
     seed: int = SEED,
     gap: float = 0.0,
     starts: Iterable[Ints] = (),
-    pool: list[Cut] | None = None,
+    pool: list[Constraint] | None = None,
 ) -> Deployed:
     """Best choices, proven, or the best ones found within the limit.
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+from roadsight.setcover.common.cuts import Constraint
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import is_within
 from roadsight.setcover.common.relaxation import ROUNDING, Node, quiet_highs, run_simplex
@@ -21,7 +22,7 @@ from roadsight.setcover.common.tree import (
     tighten,
 )
 from roadsight.setcover.plans.construct import Builder
-from roadsight.setcover.plans.cuts import Cut, Cuts
+from roadsight.setcover.plans.cuts import Cuts
 
 _WHOLE = 1e-6  # shares nearer to a whole number are whole: ten times the solver's tolerance
 _ROOT_ROUNDS = 200  # most rounds of cuts at the root: its cuts hold for the whole tree
@@ -188,7 +189,7 @@ class Relaxed:
 class Master:
     """Relaxation over choices and blocks of targets; cuts enter when violated."""
 
-    def __init__(self, cuts: Cuts, pool: list[Cut] | None = None) -> None:
+    def __init__(self, cuts: Cuts, pool: list[Constraint] | None = None) -> None:
         self.cuts, deployment = cuts, cuts.deployment
         self.choices, self.variables = cuts.choices, cuts.choices + cuts.blocks
         self.price = np.concatenate(
@@ -196,8 +197,8 @@ class Master:
         )
         # What is guaranteed for certain once every target must be seen.
         self.constant = -deployment.worth * deployment.total if deployment.complete else 0.0
-        self.branches: list[Cut] = []
-        self._constraints: list[Cut] = []
+        self.branches: list[Constraint] = []
+        self._constraints: list[Constraint] = []
         self._branch: list[int] = []  # number of the branch that a constraint is, or -1
         self._high = np.concatenate([np.ones(self.choices), cuts.block_weight[: cuts.blocks]])
         self._number = np.arange(self.variables, dtype=np.int32)
@@ -208,7 +209,7 @@ class Master:
         self._kept = len(first)
         self.add(first + (pool or []))
 
-    def add(self, found: list[Cut], branch: int = -1) -> None:
+    def add(self, found: list[Constraint], branch: int = -1) -> None:
         """Add constraints."""
         if not found:
             return
@@ -228,10 +229,10 @@ class Master:
 
     def add_branch(self, choices: Ints32) -> int:
         """Number of the new constraint that one of ``choices`` is taken."""
-        self.branches.append(Cut(choices.astype(np.int32), np.ones(len(choices)), 1.0))
+        self.branches.append(Constraint(choices.astype(np.int32), np.ones(len(choices)), 1.0))
         return len(self.branches) - 1
 
-    def pool(self) -> list[Cut]:
+    def pool(self) -> list[Constraint]:
         """Cuts at present that hold for any budget, worth and floor."""
         blocks = [
             cut for cut in self._constraints if len(cut.index) and cut.index[-1] >= self.choices

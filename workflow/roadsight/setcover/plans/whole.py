@@ -29,9 +29,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from roadsight.base import SEED
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
-from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import (
     HIGHS,

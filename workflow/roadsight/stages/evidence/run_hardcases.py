@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight import __version__
 from roadsight.base.sections.run import Run
 from roadsight.io.records.atomic import atomic_path
-from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.text_tables import write_csv
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command, logged

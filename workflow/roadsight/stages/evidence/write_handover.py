@@ -19,8 +19,7 @@ from pyproj import CRS
 from roadsight.geometry.crs import horizontal, with_heights
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
-from roadsight.io.records.atomic import atomic_path, read_json
-from roadsight.io.records.whole import check_geopackage
+from roadsight.io.records.atomic import atomic_path, check_geopackage, read_json
 from roadsight.io.vector.vectors import FIXED_DATE, fixed_date, native_features, read_layer
 from roadsight.report.handover.drawing import drawing
 from roadsight.report.handover.kml import kml

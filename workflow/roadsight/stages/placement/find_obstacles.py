@@ -30,7 +30,7 @@ from roadsight.io.records.placement_tables import (
     read_tilts,
     read_traffic,
 )
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.depth.surfel_lidar import SurfelLidar

@@ -16,7 +16,7 @@ from roadsight.base.errors import InputError, nearest
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.surfels import read_surfels, write_surfels
+from roadsight.io.records.scene_tables import read_surfels, write_surfels
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.sight.objects import objects_of

@@ -36,9 +36,8 @@ from roadsight.placement.plans.handover import (
     ranges_m,
     stations_m,
 )
-from roadsight.placement.sensors.aimed import Camera, Radar
 from roadsight.placement.sensors.poses import Turn, local_from_sensor, split_pose
-from roadsight.placement.sensors.sensors import AnySensor, load_sensor, load_sensors
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, load_sensor, load_sensors
 from roadsight.placement.sight.detectors import BandedDetector, Criteria, detector_of
 from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.posed import Panorama

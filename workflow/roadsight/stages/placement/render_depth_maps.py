@@ -21,7 +21,7 @@ from roadsight.io.images.models import network_for
 from roadsight.io.records.depth_maps import DepthMapInfo, DepthMaps, DepthMapWriter, range_step_m
 from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.placement_tables import read_poses, read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.depth.unet import model_of_points

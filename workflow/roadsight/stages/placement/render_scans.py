@@ -19,7 +19,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.placement_tables import read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m, reflectivity_range_m

@@ -15,7 +15,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.placement.candidates.tilt import road_normals
+from roadsight.placement.sensors.poses import road_normals
 from roadsight.stages.command import Command
 
 log = logging.getLogger("tilt_mounts")

@@ -19,7 +19,7 @@ from roadsight.base.section import needed
 from roadsight.base.sections.placement import Cover, Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.depth.surfel_lidar import SurfelLidar

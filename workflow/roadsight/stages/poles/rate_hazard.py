@@ -22,8 +22,8 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_table, write_table
+from roadsight.io.records.text_tables import in_native, write_csv
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE

@@ -21,8 +21,8 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.sighting_tables import in_native, read_decisions, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.records.text_tables import in_native, read_decisions, write_csv
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.roads import RouteTracks

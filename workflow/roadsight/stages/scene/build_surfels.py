@@ -10,7 +10,7 @@ from typing import Annotated
 from roadsight.base.arrays import Floats32
 from roadsight.base.sections.sensing import SurfelMaking
 from roadsight.io.cloud.tiles import StandingCloud
-from roadsight.io.records.surfels import write_surfels
+from roadsight.io.records.scene_tables import write_surfels
 from roadsight.scene.classes import VEGETATION
 from roadsight.scene.surfels import build_local_surfels, in_company
 from roadsight.scene.voxel_planes import add_moments, sum_moments

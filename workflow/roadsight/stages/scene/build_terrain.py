@@ -12,8 +12,8 @@ import numpy as np
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import RoadClasses, TerrainMesh
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.records.scene_tables import write_terrain
 from roadsight.io.records.tables import read_table
-from roadsight.io.records.terrain import write_terrain
 from roadsight.scene.classes import BRIDGE, GROUND, ROAD, class_table
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells, triangulate
 from roadsight.stages.command import Command, logged

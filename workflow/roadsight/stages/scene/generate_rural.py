@@ -15,7 +15,7 @@ from roadsight.base.arrays import Floats
 from roadsight.base.sections.run import Run, RuralScene, RuralSurvey, Sample
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import write_json
-from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.text_tables import write_csv
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.command import Command
 from roadsight_worlds.rendering.images import RuralRenderer

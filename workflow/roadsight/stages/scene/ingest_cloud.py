@@ -24,11 +24,19 @@ from roadsight.geometry.crs import unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
-from roadsight.io.cloud.chunks import Chunk
-from roadsight.io.cloud.cloud_scan import OVERLAP, CloudScan, Take, kept_chunks, scan_cloud
+from roadsight.io.cloud.chunks import Chunk, in_share
+from roadsight.io.cloud.cloud_scan import (
+    OVERLAP,
+    CloudScan,
+    RepeatedSample,
+    Take,
+    check_copies,
+    first_ones,
+    kept_chunks,
+    scan_cloud,
+    steps_of,
+)
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
-from roadsight.io.cloud.point_filter import in_share
-from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
 from roadsight.io.cloud.tile_writer import (
     TileDraft,
     TileWriter,

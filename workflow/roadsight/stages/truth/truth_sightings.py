@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.evidence.truth.table import Figure
-from roadsight.io.records.sighting_tables import read_sightings
+from roadsight.io.records.text_tables import read_sightings
 from roadsight.poles.risk.validation import score_thresholds
 from roadsight.poles.triangulate.geographic import (
     TangentFrame,

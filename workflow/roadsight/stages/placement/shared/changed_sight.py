@@ -16,7 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.section import needed
 from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
 from roadsight.io.records.placement_tables import read_tilts
-from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.scene_tables import read_surfels
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.plans.tolerance import Change, changes
 from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor

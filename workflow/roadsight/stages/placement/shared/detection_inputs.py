@@ -15,9 +15,8 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
-from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
-from roadsight.placement.sensors.sensors import AnySensor, Sensor
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, Rosette, Sensor
 from roadsight.placement.sight.kinds import Box, Cylinder, Shape
 from roadsight.placement.sight.sight import Sight
 

@@ -16,8 +16,8 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
+from roadsight.io.records.scene_tables import read_terrain
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.io.records.terrain import read_terrain
 from roadsight.placement.sensors.light import rise_m
 from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drive import (
