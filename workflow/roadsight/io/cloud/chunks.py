@@ -49,7 +49,10 @@ class Chunk:
         if mask.all():
             return self
         parts: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Chunk(**{name: None if of is None else of[mask] for name, of in parts.items()})
+        kept: dict[str, Any] = {
+            name: None if of is None else of[mask] for name, of in parts.items()
+        }
+        return Chunk(**kept)
 
 
 def chunk_of(
