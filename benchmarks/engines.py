@@ -20,7 +20,7 @@ from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.scene.pavement.fpfh import describe_ground, fit_smoothness, is_smooth
 from roadsight.scene.pavement.outline import euclidean_clusters
-from roadsight.scene.surfels import build_local_surfels, in_company
+from roadsight.scene.surfels import build_surfels, in_company
 from roadsight.scene.voxel_planes import sum_moments
 
 _MOST = 3_000_000
@@ -89,7 +89,7 @@ def main(path: str) -> int:
         labels.append(label)
         print(f"clusters {engine}: {cost[0]:.1f} CPU s, {cost[1]:.1f} s, {cost[2]:.0f} MiB")
     print(f"  {len(smooth)} points, same cluster: {(labels[0] == labels[1]).mean():.3%}")
-    surfels, maps = build_local_surfels(sum_moments(xyz, 0.1)), []
+    surfels, maps = build_surfels(sum_moments(xyz, 0.1)), []
     place = np.median(at, axis=0)
     cast(surfels, place, "own")
     for engine in ENGINES:

@@ -154,7 +154,7 @@ def test_detections_without_sensor_are_refused(tmp_path):
 
 
 def test_surfels_survive(tmp_path, rng):
-    parts = (rng.normal(size=(7, 3)), rng.normal(size=(7, 3)), rng.random(7))
+    parts = (rng.normal(size=(7, 3)), rng.normal(size=(7, 3)), rng.random((7, 2)))
     surfels = Surfels(*(part.astype(np.float32) for part in parts))
     write_surfels(tmp_path / "s.parquet", surfels)
     back = read_surfels(tmp_path / "s.parquet")

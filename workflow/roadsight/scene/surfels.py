@@ -1,12 +1,12 @@
-"""A cloud as oriented surfels: small squares that close its surfaces.
+"""A cloud as oriented surfels: small rectangles that close its surfaces.
 
-A surfel is the part of its plane over a square cell of edge ``2 half_m`` that is normal to the axis
-nearest to its normal: surfels of one surface meet at their cells' borders whatever its tilt.
+A surfel is the part of its plane over a rectangle normal to the axis nearest to its normal:
+surfels of one surface meet at their borders whatever its tilt.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -19,21 +19,25 @@ from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.voxel_planes import (
     Planes,
     VoxelMoments,
+    add_shifted,
     coarsen,
+    eigenvalues,
+    eigenvector,
     fit_planes,
     open_neighbours,
     pack_cells,
+    point_covariance,
     unpack_keys,
 )
 
-_COARSEST_M = 0.8  # sparse parts get voxels up to this edge, or two doublings
+_FINE_DOUBLINGS = 2  # voxels of up to 2**2 times the finest edge carry planes of their own
 _MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
 _HOLE_POINTS = 5  # points around an empty voxel that carry a plane
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
-_FLATTER = 0.35  # times that for each doubling, or twigs and wires pass for sparse surfaces
-_WIDE = 0.25  # variance along both axes of a wide surface, squared voxel edges
-_NEAR = 0.05  # points this near to a plane are on it, whatever its spread, voxel edges
+_TIGHT = (0.02, 0.02, 0.005)  # variance of a plane's points across it, for each doubling
+_WIDE = 0.45  # variance along both axes of a wide surface, squared voxel edges
+_CENTRED = 0.4  # a wide surface has its centroid this near to its voxel's centre, voxel edges
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
 _OVERLAP = 0.1  # surfels extend this far beyond their cell, finest voxel edges
 _MERGE = 0.2  # merged patches depart this far from their parts, finest voxel edges
@@ -42,11 +46,13 @@ _LONE_HALF = 0.25  # half edge of the crossed squares of a lone voxel, voxel edg
 
 @dataclass(frozen=True)
 class Surfels:
-    """Oriented squares.
+    """Oriented rectangles.
 
     Parameters
     ----------
-    centre_m : (n, 3) local metres. normal : (n, 3) unit, sign arbitrary. half_m : (n,).
+    centre_m : (n, 3) local metres. normal : (n, 3) unit, sign arbitrary.
+    half_m : (n, 2) half edges along the two axes that follow the dominant axis of the normal,
+        cyclically.
     """
 
     centre_m: Floats32
@@ -56,66 +62,279 @@ class Surfels:
     def __len__(self) -> int:
         return len(self.half_m)
 
+    def select(self, chosen: NDArray) -> Surfels:
+        """Surfels of a mask or of rows."""
+        return Surfels(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
-def build_surfels(voxels: VoxelMoments, own: Bools | None = None) -> Surfels:
+
+def build_surfels(voxels: VoxelMoments) -> Surfels:
     """Surfels of a cloud given by its moments in the finest voxels.
 
-    Planes come from 3 x 3 x 3 voxels; where these hold too few points, or points on one line only,
-    from voxels twice as large, and so on. Empty voxels amid a flat neighbourhood are filled. What
-    is no surface at any size (wires, twigs, stray points) becomes small crossed squares. At last
-    patches that agree merge.
-
-    Parameters
-    ----------
-    own : (n,) voxels that become surfels; the others only help to find their planes. None: all.
+    Where 3 x 3 x 3 voxels hold one dense and flat surface, patches over their cells close it, and
+    patches that agree merge. Elsewhere each voxel looks for a plane among the points around it,
+    at their own spacing, so that the two surfaces of an edge each get theirs. What is no surface
+    at any size (wires, twigs, stray points) becomes small crossed squares.
     """
-    by_size, thin = _fit_patches(voxels, own)
-    by_size += [no_patches()] * (_MERGE_DOUBLINGS + 1 - len(by_size))
-    parts, merged = [_thin_surfels(thin, voxels)], no_patches()
+    by_size, pending, crowded = _dense_patches(voxels)
+    parts, merged = [], no_patches()
     for doubling, part in enumerate(by_size):
         size_m, patches = voxels.edge_m * 2**doubling, join([merged, part])
         if doubling < len(by_size) - 1:
             merged, patches = merge_coplanar(patches, size_m, _MERGE * voxels.edge_m)
         centre, normal = centres_and_normals(patches, size_m)
-        half_m = np.full(len(centre), size_m / 2 + _OVERLAP * voxels.edge_m)
+        half_m = np.full((len(centre), 2), size_m / 2 + _OVERLAP * voxels.edge_m)
         parts.append(_as_surfels(centre, normal, half_m))
-    return concatenate(parts)
+    sparse, thin = _sparse_surfels(voxels, pending, crowded)
+    return concatenate([*parts, *sparse, _thin_surfels(thin, voxels)])
 
 
-def _fit_patches(voxels: VoxelMoments, own: Bools | None) -> tuple[list[Patches], Ints]:
-    """Patches of each size, finest first, and keys of the finest voxels that carry none."""
+def _dense_patches(voxels: VoxelMoments) -> tuple[list[Patches], Ints, Bools]:
+    """Patches of each size, finest first; the finest voxels without one, and which are crowded."""
     finest, cells = voxels.keys, unpack_keys(voxels.keys)
-    points = cells + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
-    pending = np.arange(len(finest)) if own is None else np.flatnonzero(own)
-    by_size, thin = [], []
-    doublings = max(round(np.log2(_COARSEST_M / voxels.edge_m)), 2)
-    for level in range(doublings + 1):
-        flat = _FLAT * _FLATTER**level
+    pending = np.arange(len(finest))
+    by_size = [no_patches()] * (_MERGE_DOUBLINGS + 1)
+    crowded = np.zeros(len(finest), bool)
+    for level in range(_FINE_DOUBLINGS + 1):
         keys, member = np.unique(pack_cells(cells[pending] >> level), return_inverse=True)
-        planes = fit_planes(keys, voxels, _MIN_POINTS, flat)
-        settled = (planes.points >= _MIN_POINTS) & (planes.variance[:, 1] > flat)
-        coarser = coarsen(voxels)
-        good = settled
-        if level:
-            sparse = settled & (planes.spread <= flat)
-            if level > 1:
-                # Sparse ground goes on over voxels of twice the edge; parallel wires, and stray
-                # points beside an object, span no wide plane.
-                parents, child = np.unique(pack_cells(unpack_keys(keys) >> 1), return_inverse=True)
-                wide = fit_planes(parents, coarser, _MIN_POINTS, flat * _FLATTER)
-                goes_on = (wide.spread <= flat * _FLATTER) & (wide.variance[:, 1] > _WIDE)
-                sparse &= goes_on[child]
-            away = points[pending] / 2**level - unpack_keys(keys[member]) - 0.5
-            away = away * planes.normal[member]
-            distance = np.abs(away.sum(axis=1) - planes.offset[member])
-            near = distance <= 2.5 * np.sqrt(planes.spread[member]) + _NEAR
-            thin.append(finest[pending[settled[member] & ~(sparse[member] & near)]])
-            good = sparse & (np.bincount(member[near], minlength=len(keys)) > 0)
-        holes = _holes(keys, planes, good, voxels, flat)
-        by_size.append(join([_patches(keys, planes, good, voxels.edge_m), holes]))
-        pending, voxels = pending[~settled[member]], coarser
-    thin.append(finest[pending])
-    return by_size, np.sort(np.concatenate(thin))
+        planes = fit_planes(keys, voxels, _MIN_POINTS, _FLAT)
+        good = (planes.points >= _MIN_POINTS) & (planes.variance[:, 1] > _FLAT)
+        good &= planes.spread <= _TIGHT[level]
+        if level == 0:
+            crowded = planes.points >= _MIN_POINTS
+        else:
+            # Sparse points span a plane also where they are a few wires or the foot of a wall.
+            aside = planes.centroid - planes.offset[:, None] * planes.normal
+            good &= (planes.variance[:, 0] <= _FLAT) & (planes.variance[:, 1] > _WIDE)
+            good &= np.linalg.norm(aside, axis=1) <= _CENTRED
+        holes = _holes(keys, planes, good, voxels, _FLAT)
+        by_size[level] = join([_patches(keys, planes, good, voxels.edge_m), holes])
+        pending, voxels = pending[~good[member]], coarsen(voxels)
+    return by_size, finest[pending], crowded[pending]
+
+
+# Planes of sparse points and of edges, by consensus of the nearest points. The limits were chosen
+# on two generated and three real streets, see docs/decisions/106-surfaces-that-do-not-leak.md.
+
+_NEIGHBOURS = 28  # points around a point that tell its plane
+_PAIRED = 12  # the nearest of them give planes to try: each two, with the point itself
+_SPACING_OF_SIXTH = 1 / 1.38  # spacing of evenly spread points over the distance of the sixth
+# Points farther apart than this carry no plane, spacings of the cloud in plan; of each doubling.
+_WIDEST = (6.0, 3.0, 3.0)
+_BLOCK_DOUBLINGS = 6  # that spacing is a mean over blocks of 2**6 of the finest voxels, 6.4 m
+_NEAR_PLANE = 0.25  # points this near to a plane are on it, spacings; or this, for the noise:
+_NEAR_PLANE_M = 0.03
+_SUPPORTERS = 7  # points on a plane that carry it; it also takes this share of those around:
+_SUPPORT = 0.25
+_ACROSS = 0.35  # variance of a plane's points along both its axes, squared spacings, at least
+_SLIM = 0.12  # and that along the shorter axis over that along the longer one
+_ALIKE = 0.9  # cosine between the normals of one surface
+_CONSISTENT = 0.6  # share of a plane's points that have to find it, too, where points are dense
+_ONE_POINT = np.array([1.0] + [0.0] * 9)  # moments of a point about itself
+# How far a surfel reaches to each side, in spacings. Where its surface goes on:
+_ON = 1.4
+_TO_NEXT = 0.75  # of the way to the next point of it, if that is more,
+_FARTHEST = 2.5  # and no farther than this.
+_TO_CORNER = 1.5  # Where another surface begins: to its farthest point and this at most.
+_BEYOND_CORNER = 0.15  # So far beyond that point.
+_TO_END = 0.6  # Where nothing is near.
+
+
+def _sparse_surfels(
+    voxels: VoxelMoments, pending: Ints, crowded: Bools
+) -> tuple[list[Surfels], Ints]:
+    """Surfels of voxels whose nearest points agree on a plane, and keys of voxels without one.
+
+    A voxel that finds no plane among the finest voxels asks those of twice the edge.
+    """
+    parts: list[Surfels] = []
+    thin: list[Ints] = []
+    spacing_m = _plan_spacing_m(voxels, pending)
+    cells, left = unpack_keys(pending), np.arange(len(pending))
+    for level in range(len(_WIDEST)):
+        if not len(left) or len(voxels.keys) <= _SUPPORTERS:
+            break
+        keys, member = np.unique(pack_cells(cells[left] >> level), return_inverse=True)
+        rows = np.searchsorted(voxels.keys, keys)
+        points = unpack_keys(voxels.keys) + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
+        points *= voxels.edge_m
+        away, near = cKDTree(points).query(points[rows], min(_NEIGHBOURS, len(points)))
+        found, centre, normal, half_m, on = _agreed_planes(points, rows, away, near)
+        most_m = np.zeros(len(keys))
+        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left])
+        found &= away[:, 6] * _SPACING_OF_SIXTH <= most_m
+        alone = np.zeros(len(left), bool)
+        if level == 0:
+            alone = crowded & ~_consistent(found, normal, rows, near, on, len(points))
+            found &= ~alone
+        thin.append(pending[left[alone]])
+        parts.append(_as_surfels(centre[found], normal[found], half_m[found]))
+        left, voxels = left[~found[member] & ~alone], coarsen(voxels)
+    return parts, np.sort(np.concatenate([*thin, pending[left]]))
+
+
+def _plan_spacing_m(voxels: VoxelMoments, keys: Ints) -> Floats:
+    """Spacing (n,) of the cloud in plan, over the block of columns that each voxel is in."""
+
+    def block(keys: Ints) -> Ints:
+        cells = unpack_keys(keys) >> _BLOCK_DOUBLINGS
+        cells[:, 2] = 0
+        return pack_cells(cells)
+
+    blocks, member = np.unique(block(voxels.keys), return_inverse=True)
+    points = np.bincount(member, voxels.moments[:, 0])[np.searchsorted(blocks, block(keys))]
+    return voxels.edge_m * 2**_BLOCK_DOUBLINGS / np.sqrt(points)
+
+
+@compiled()
+def _agreed_planes(
+    points: Floats, rows: Ints, away: Floats, near: Ints
+) -> tuple[Bools, Floats, Floats, Floats, Bools]:
+    """Whether the points around each row agree on a plane through it, its rectangle and points."""
+    n, count = near.shape
+    found, all_on = np.zeros(n, np.bool_), np.zeros((n, count), np.bool_)
+    centre, normal, half_m = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
+    offset, covariance = np.empty((count, 3)), np.empty((3, 3))
+    needed = max(_SUPPORTERS, _SUPPORT * count)
+    for i in range(n):
+        spacing_m = away[i, 6] * _SPACING_OF_SIXTH
+        tolerance_m = max(_NEAR_PLANE_M, _NEAR_PLANE * spacing_m)
+        for j in range(count):
+            offset[j] = points[near[i, j]] - points[rows[i]]
+        if _most_supported(offset, away[i], tolerance_m, normal[i]) < needed:
+            continue
+        level_m, middle, high = 0.0, 0.0, 0.0
+        for _ in range(2):
+            level_m, middle, high = _refit(
+                offset, tolerance_m, level_m, covariance, normal[i], all_on[i]
+            )
+        if all_on[i].sum() < needed or abs(level_m) > tolerance_m:
+            continue
+        if middle < max(_ACROSS * spacing_m**2, _SLIM * high):
+            continue
+        found[i] = True
+        _rectangle(offset, normal[i], level_m, all_on[i], spacing_m, centre[i], half_m[i])
+        centre[i] += points[rows[i]]
+    return found, centre, normal, half_m, all_on
+
+
+@compiled_part()
+def _most_supported(offset: Floats, away_m: Floats, tolerance_m: float, normal: Floats) -> int:
+    """Points on the plane through the first and two of the nearest that has most; its normal."""
+    most, count = 0, len(offset)
+    paired = min(_PAIRED, count - 1)
+    for a in range(1, paired):
+        for b in range(a + 1, paired + 1):
+            x = offset[a, 1] * offset[b, 2] - offset[a, 2] * offset[b, 1]
+            y = offset[a, 2] * offset[b, 0] - offset[a, 0] * offset[b, 2]
+            z = offset[a, 0] * offset[b, 1] - offset[a, 1] * offset[b, 0]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length < 0.5 * away_m[a] * away_m[b] or length == 0:
+                continue  # nearly in line: any plane about them would do
+            x, y, z = x / length, y / length, z / length
+            support = 0
+            for j in range(count):
+                distance_m = x * offset[j, 0] + y * offset[j, 1] + z * offset[j, 2]
+                support += -tolerance_m <= distance_m <= tolerance_m
+            if support > most:
+                most = support
+                normal[0], normal[1], normal[2] = x, y, z
+    return most
+
+
+@compiled_part()
+def _refit(
+    offset: Floats,
+    tolerance_m: float,
+    level_m: float,
+    covariance: Floats,
+    normal: Floats,
+    on: Bools,
+) -> tuple[float, float, float]:
+    """Least-squares plane of the points near a plane, in its place.
+
+    Returns its distance along its normal, and the variances of its points along its two axes.
+    """
+    total = np.zeros(10)
+    for j in range(len(offset)):
+        x, y, z = offset[j]
+        on[j] = abs(normal[0] * x + normal[1] * y + normal[2] * z - level_m) <= tolerance_m
+        if on[j]:
+            add_shifted(total, _ONE_POINT, x, y, z)
+    x, y, z = point_covariance(total, covariance)
+    low, middle, high = eigenvalues(covariance)
+    eigenvector(covariance, low, normal)
+    return normal[0] * x + normal[1] * y + normal[2] * z, middle, high
+
+
+@compiled()
+def _consistent(
+    found: Bools, normal: Floats, rows: Ints, near: Ints, on: Bools, points: int
+) -> Bools:
+    """Planes that the points on them found, too: among leaves each point finds another one."""
+    row_of = np.full(points, -1, np.int64)
+    for i in range(len(rows)):
+        row_of[rows[i]] = i
+    kept = np.zeros(len(found), np.bool_)
+    for i in range(len(rows)):
+        if not found[i]:
+            continue
+        asked, alike = 0, 0
+        for j in range(1, near.shape[1]):
+            if not on[i, j]:
+                continue
+            asked += 1
+            other = row_of[near[i, j]]
+            if other < 0:  # a part of a dense surface
+                alike += 1
+            elif found[other]:
+                cosine = 0.0
+                for k in range(3):
+                    cosine += normal[i, k] * normal[other, k]
+                alike += abs(cosine) >= _ALIKE
+        kept[i] = alike >= _CONSISTENT * asked
+    return kept
+
+
+@compiled_part()
+def _rectangle(
+    offset: Floats,
+    normal: Floats,
+    level_m: float,
+    on: Bools,
+    spacing_m: float,
+    centre: Floats,
+    half_m: Floats,
+) -> None:
+    """Centre, from the point, and half edges of the rectangle that closes the plane around it."""
+    axis = np.argmax(np.abs(normal))
+    sides = ((axis + 1) % 3, (axis + 2) % 3)
+    for number in range(2):
+        along, across = sides[number], sides[1 - number]
+        reach = np.zeros(2)
+        for end in range(2):
+            next_m, corner_m = np.inf, 0.0
+            for j in range(1, len(offset)):
+                d = offset[j, along] * (2 * end - 1)
+                if d <= 0 or abs(offset[j, across]) > 1.2 * spacing_m + 0.5 * d:
+                    continue
+                if on[j]:
+                    if 0.5 * spacing_m < d < next_m:
+                        next_m = d
+                elif d <= _FARTHEST * spacing_m:
+                    x, y, z = offset[j]
+                    distance_m = normal[0] * x + normal[1] * y + normal[2] * z - level_m
+                    if abs(distance_m) <= _FARTHEST * spacing_m:
+                        corner_m = max(corner_m, d)
+            if next_m < np.inf:
+                reach[end] = min(max(_ON * spacing_m, _TO_NEXT * next_m), _FARTHEST * spacing_m)
+            elif corner_m > 0:
+                reach[end] = min(corner_m + _BEYOND_CORNER * spacing_m, _TO_CORNER * spacing_m)
+            else:
+                reach[end] = _TO_END * spacing_m
+        centre[along] = (reach[1] - reach[0]) / 2
+        half_m[number] = (reach[1] + reach[0]) / 2
+    flat = normal[sides[0]] * centre[sides[0]] + normal[sides[1]] * centre[sides[1]]
+    centre[axis] = (level_m - flat) / normal[axis]
 
 
 def _patches(keys: Ints, planes: Planes, chosen: Bools, size_m: float) -> Patches:
@@ -151,7 +370,7 @@ def _thin_surfels(keys: Ints, voxels: VoxelMoments) -> Surfels:
     lines = _line_surfels(cells[linear], Planes(*(column[linear] for column in planes)), voxels)
     lone = np.repeat((cells[~linear] + own) * voxels.edge_m, 3, axis=0)
     normal = np.tile(np.eye(3), (len(own), 1))
-    half_m = np.full(len(lone), _LONE_HALF * voxels.edge_m)
+    half_m = np.full((len(lone), 2), _LONE_HALF * voxels.edge_m)
     return concatenate([lines, _as_surfels(lone, normal, half_m)])
 
 
@@ -174,7 +393,7 @@ def _line_surfels(cells: NDArray[np.floating], planes: Planes, voxels: VoxelMome
     across = np.cross(second, planes.axis)
     first = across / np.linalg.norm(across, axis=1, keepdims=True)
     normal = np.concatenate([first[line], np.cross(planes.axis, first)[line]])
-    half_m = np.tile(half[line] * voxels.edge_m, 2)
+    half_m = np.tile(half[line, None] * voxels.edge_m, (2, 2))
     return _as_surfels(np.tile(centre * voxels.edge_m, (2, 1)), normal, half_m)
 
 
@@ -396,70 +615,3 @@ def in_company(
     mask = np.zeros(len(both), bool)
     mask[np.asarray(kept, np.int64)] = True
     return mask[:n]
-
-
-# Surfels whose size follows the density where they are.
-#
-# One voxel size for a whole cloud lets sparse points anywhere coarsen the surfaces everywhere.
-# Here the scene is divided into blocks, and each block gets voxels about as large as the spacing
-# of its own points.
-
-# Blocks are 2**6 of the finest voxels wide (6.4 m of 0.1 m): some thousand points of a mobile
-# cloud, some hundred of an airborne one, and finer than density changes along a road.
-_BLOCK_DOUBLINGS = 6
-# Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface.
-_MOST_DOUBLINGS = 5
-# A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
-# ones would string them up as wires.
-_FEWEST_POINTS = 12
-# Blocks around those of a size that its surfels may draw on; they reach a few voxels at most.
-_MARGIN_BLOCKS = 1
-
-
-def build_local_surfels(voxels: VoxelMoments) -> Surfels:
-    """Surfels of a cloud given by its moments in the finest voxels.
-
-    Blocks whose points lie farther apart than the finest voxels take voxels twice as large, and so
-    on. What lies in one block does not hang on others, but for those beside it.
-    """
-    if not len(voxels.keys):
-        return build_surfels(voxels)
-    from scipy import ndimage  # noqa: PLC0415  # slow to load
-
-    west_south = (unpack_keys(voxels.keys)[:, :2] >> _BLOCK_DOUBLINGS).min(axis=0)
-    level = _levels(voxels, west_south)
-    parts: list[Surfels] = []
-    for doubling in range(_MOST_DOUBLINGS + 1):
-        own = level == doubling
-        if own.any():
-            # From voxels of this size in these blocks and around them.
-            around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN_BLOCKS)
-            cells = unpack_keys(voxels.keys)[:, :2] >> (_BLOCK_DOUBLINGS - doubling)
-            column, row = (cells - west_south).T
-            near = around[column, row]
-            part = VoxelMoments(voxels.edge_m, voxels.keys[near], voxels.moments[near])
-            parts.append(build_surfels(part, own[column, row][near]))
-        voxels = coarsen(voxels)
-    return concatenate(parts)
-
-
-def _levels(voxels: VoxelMoments, west_south: Ints) -> Ints:
-    """Doublings of the finest voxels in each block (columns, rows); -1 where it is empty.
-
-    The spacing is that of points spread evenly over the block's occupied quarters: a block at the
-    border of a cloud is not sparse because half of it is empty. It is rounded down: on a generated
-    highway thinned to 1, 3, 10 and 100 % of its points, larger voxels stop 1 to 5 % more of the
-    beams that pass, and close 1 to 2 % more surfaces.
-    """
-    quarter = (unpack_keys(voxels.keys)[:, :2] >> (_BLOCK_DOUBLINGS - 1)) - 2 * west_south
-    shape = 2 * (quarter.max(axis=0) // 2 + 1)
-    points = np.zeros(shape)
-    np.add.at(points, (quarter[:, 0], quarter[:, 1]), voxels.moments[:, 0])
-    blocks = points.reshape(shape[0] // 2, 2, shape[1] // 2, 2)
-    filled = (blocks > 0).sum(axis=(1, 3))
-    area_m2 = filled * (voxels.edge_m * 2 ** (_BLOCK_DOUBLINGS - 1)) ** 2
-    total = blocks.sum(axis=(1, 3))
-    spacing_m = np.sqrt(area_m2 / np.maximum(total, 1))
-    level = np.floor(np.log2(np.maximum(spacing_m / voxels.edge_m, 1.0))).astype(np.int64)
-    level[total < _FEWEST_POINTS] = 0
-    return np.where(total > 0, np.minimum(level, _MOST_DOUBLINGS), -1)

@@ -255,7 +255,7 @@ def _sum_block(
 
 
 @compiled_part()
-def _covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]:
+def point_covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]:
     """Centroid; fills the covariance matrix."""
     count = total[0]
     x, y, z = total[1] / count, total[2] / count, total[3] / count
@@ -269,7 +269,7 @@ def _covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]
 
 
 @compiled_part()
-def _eigenvalues(a: Floats) -> tuple[float, float, float]:
+def eigenvalues(a: Floats) -> tuple[float, float, float]:
     """Eigenvalues of a covariance matrix, increasing (trigonometric solution)."""
     mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
     off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
@@ -289,7 +289,7 @@ def _eigenvalues(a: Floats) -> tuple[float, float, float]:
 
 
 @compiled_part()
-def _eigenvector(a: Floats, value: float, vector: Floats) -> None:
+def eigenvector(a: Floats, value: float, vector: Floats) -> None:
     """Unit eigenvector: the longest cross product of two rows of a - value * identity.
 
     A matrix with a repeated eigenvalue has no single answer: z is taken where nothing is left.
@@ -320,8 +320,8 @@ def _flattest_corner(
     for corner in range(8):
         _sum_block(block, moments, corner >> 2, (corner >> 1) & 1, corner & 1, 2, total)
         if total[0] >= _BLOCK_POINTS:
-            _covariance(total, covariance)
-            variance = _eigenvalues(covariance)[0]
+            point_covariance(total, covariance)
+            variance = eigenvalues(covariance)[0]
             if variance < low:
                 best, low = corner, variance
     if best >= 0:
@@ -348,17 +348,17 @@ def _fit(
         planes.points[i] = total[0]
         if total[0] < min_points:
             continue
-        x, y, z = _covariance(total, covariance)
-        low, middle, high = _eigenvalues(covariance)
+        x, y, z = point_covariance(total, covariance)
+        low, middle, high = eigenvalues(covariance)
         planes.variance[i, 0], planes.variance[i, 1], planes.variance[i, 2] = low, middle, high
         planes.centroid[i, 0], planes.centroid[i, 1], planes.centroid[i, 2] = x, y, z
-        _eigenvector(covariance, high, vector)
+        eigenvector(covariance, high, vector)
         planes.axis[i, 0], planes.axis[i, 1], planes.axis[i, 2] = vector
         if low > flat_variance and planes.own[i] > 0:
             _flattest_corner(block, moments, total, covariance, low)
-            x, y, z = _covariance(total, covariance)
-            low = _eigenvalues(covariance)[0]
-        _eigenvector(covariance, low, vector)
+            x, y, z = point_covariance(total, covariance)
+            low = eigenvalues(covariance)[0]
+        eigenvector(covariance, low, vector)
         planes.normal[i, 0], planes.normal[i, 1], planes.normal[i, 2] = vector
         planes.spread[i] = low
         planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]

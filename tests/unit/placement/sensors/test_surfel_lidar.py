@@ -169,16 +169,22 @@ def test_far_from_the_origin_nothing_is_lost(rng):
 
 
 def test_nothing_to_hit_and_nothing_to_cast():
-    none = SurfelLidar(Surfels(np.empty((0, 3), "f4"), np.empty((0, 3), "f4"), np.empty(0, "f4")))
+    none = SurfelLidar(
+        Surfels(np.empty((0, 3), "f4"), np.empty((0, 3), "f4"), np.empty((0, 2), "f4"))
+    )
     assert none.depth_map(SENSOR, AT, 0.0).shape == SENSOR.shape
     assert none.depth_map(SENSOR, AT, 0.0).max() == 0
     assert np.isinf(none.cast([0, 0, 0], [[0, 0, 1]])).all()
-    one = SurfelLidar(Surfels(*(np.array(v, "f4") for v in ([[5, 0, 0]], [[1, 0, 0]], [0.5]))))
+    one = SurfelLidar(
+        Surfels(*(np.array(v, "f4") for v in ([[5, 0, 0]], [[1, 0, 0]], [[0.5, 0.5]])))
+    )
     assert one.cast([0, 0, 0], np.empty((0, 3))).shape == (0,)
 
 
 def test_a_surfel_ends_at_its_borders():
-    one = SurfelLidar(Surfels(*(np.array(v, "f4") for v in ([[5, 0, 0]], [[0.6, 0, 0.8]], [0.5]))))
+    one = SurfelLidar(
+        Surfels(*(np.array(v, "f4") for v in ([[5, 0, 0]], [[0.6, 0, 0.8]], [[0.5, 0.5]])))
+    )
     down = np.array([[0, 0, -1.0]])
     for x, hit in ((5.49, True), (5.51, False), (4.51, True), (4.49, False)):
         assert np.isfinite(one.cast([x, 0, 9], down)[0]) == hit

@@ -265,7 +265,7 @@ def wall_of_surfels(x_m, height_m):
     y, z = np.meshgrid(np.arange(-10, 10, 0.5), np.arange(0.25, height_m, 0.5))
     centre = np.stack([np.full(y.size, x_m), y.ravel(), z.ravel()], axis=1).astype(np.float32)
     normal = np.tile(np.array([1, 0, 0], np.float32), (y.size, 1))
-    return Surfels(centre, normal, np.full(y.size, 0.25, np.float32))
+    return Surfels(centre, normal, np.full((y.size, 2), 0.25, np.float32))
 
 
 def run_stage(folder, height_m, uncovered):

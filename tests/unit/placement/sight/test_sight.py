@@ -40,7 +40,7 @@ def plane_surfels(slope_x=0.0, size_m=60.0, step_m=0.5):
     return Surfels(
         centre.astype(np.float32),
         np.tile(normal, (len(x), 1)).astype(np.float32),
-        np.full(len(x), step_m / 2, np.float32),
+        np.full((len(x), 2), step_m / 2, np.float32),
     )
 
 

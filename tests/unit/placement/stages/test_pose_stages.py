@@ -74,7 +74,7 @@ def road(tmp_path_factory):
     sx, sy = (part.ravel() for part in np.meshgrid(axis, axis))
     centre = np.column_stack([sx, sy, 0 * sx]).astype(np.float32)
     up = np.tile(np.float32([0, 0, 1]), (len(sx), 1))
-    write_surfels(folder / "surfels", Surfels(centre, up, np.full(len(sx), 0.25, np.float32)))
+    write_surfels(folder / "surfels", Surfels(centre, up, np.full((len(sx), 2), 0.25, np.float32)))
     write_json(folder / "frame.json", FRAME.to_dict())
     return folder, panoramas
 
@@ -220,7 +220,7 @@ class TestObstacles:
         y, z = (part.ravel() for part in np.meshgrid(axis, height))
         walls = np.concatenate([np.column_stack([np.full(len(y), x), y, z]) for x in (-5.0, 5.0)])
         sideways = np.tile(np.float32([1, 0, 0]), (len(walls), 1))
-        half = np.full(len(walls), 0.25, np.float32)
+        half = np.full((len(walls), 2), 0.25, np.float32)
         write_surfels(tmp_path / "walls", Surfels(walls.astype(np.float32), sideways, half))
         write_raster(tmp_path / "dem.tif", np.zeros((140, 140)), FRAME, -60, 80, 1.0)
         place = {"candidate": "a@y+60p-10r+0", "position": "a", "sensor": "eye"}

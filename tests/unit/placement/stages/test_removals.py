@@ -45,7 +45,7 @@ def site(tmp_path_factory):
     road = grid(np.arange(-1, 21, 0.2), np.arange(-1, 9, 0.2), [0.0], (0, 0, 1))
     barrier = grid([10.0], np.arange(0, 8, 0.2), np.arange(0.1, 1.4, 0.2), (1, 0, 0))
     centre, normal = (np.concatenate(parts) for parts in zip(road, barrier, strict=True))
-    half_m = np.full(len(centre), 0.11, np.float32)
+    half_m = np.full((len(centre), 2), 0.11, np.float32)
     write_surfels(folder / "surfels.parquet", Surfels(centre, normal, half_m))
     write_raster(folder / "dem.tif", np.zeros((12, 24)), FRAME, -2.0, 10.0, 1.0)
     write_json(folder / "frame.json", FRAME.to_dict())

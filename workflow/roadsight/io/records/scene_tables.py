@@ -43,17 +43,18 @@ def read_terrain(path: AnyPath) -> Terrain:
     return Terrain(vertices, triangles)
 
 
-# Surfels as a table (x, y, z, nx, ny, nz, half_m in float32).
+# Surfels as a table (x, y, z, nx, ny, nz, half_u_m, half_v_m in float32).
 
 _CENTRE = ["x", "y", "z"]
 _NORMAL = ["nx", "ny", "nz"]
+_HALF = ["half_u_m", "half_v_m"]
 
 
 def write_surfels(path: AnyPath, surfels: Surfels, about: dict[str, Any] | None = None) -> None:
     """Write surfels with a description."""
     frame = pd.DataFrame(
         np.column_stack([surfels.centre_m, surfels.normal, surfels.half_m]),
-        columns=[*_CENTRE, *_NORMAL, "half_m"],
+        columns=[*_CENTRE, *_NORMAL, *_HALF],
     )
     write_table(path, frame, about)
 
@@ -65,6 +66,5 @@ def read_surfels(path: AnyPath) -> Surfels:
     ------
     InputError : the file is missing or damaged.
     """
-    frame = read_table(path, [*_CENTRE, *_NORMAL, "half_m"])
-    centre_m, normal = frame[_CENTRE].to_numpy(np.float32), frame[_NORMAL].to_numpy(np.float32)
-    return Surfels(centre_m, normal, frame["half_m"].to_numpy(np.float32))
+    frame = read_table(path, [*_CENTRE, *_NORMAL, *_HALF])
+    return Surfels(*(frame[part].to_numpy(np.float32) for part in (_CENTRE, _NORMAL, _HALF)))

@@ -19,10 +19,10 @@ from roadsight.placement.sensors.light import rise_m
 from roadsight.placement.sensors.rays import NOT_CAST_M, beam_directions
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.scene.samples import Samples, build_samples
-from roadsight.scene.surfels import Surfels, build_local_surfels
+from roadsight.scene.surfels import Surfels, build_surfels
 from roadsight.scene.voxel_planes import coarsen, sum_moments
 
-# Corners of a square about its middle, in half edges, in turn.
+# Corners of a rectangle about its middle, in half edges, in turn.
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 # Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
 # (docs/decisions/011-surfels.md).
@@ -137,7 +137,7 @@ def lidar_of_points(
     engine : who casts the rays.
     """
     fine = sum_moments(xyz_m, surfel_size_m / 2)
-    return SurfelLidar(build_local_surfels(coarsen(fine)), build_samples(fine), engine=engine)
+    return SurfelLidar(build_surfels(coarsen(fine)), build_samples(fine), engine=engine)
 
 
 def risen(directions: Floats32, range_m: Floats32) -> Floats32:
@@ -158,19 +158,19 @@ def risen(directions: Floats32, range_m: Floats32) -> Floats32:
 
 
 def _corners(surfels: Surfels, origin_m: Floats) -> Floats32:
-    """Corners (n, 4, 3) of each surfel: its plane over the borders of its cell."""
+    """Corners (n, 4, 3) of each surfel: its plane over its rectangle."""
     n = len(surfels)
     rows, axis = np.arange(n), np.abs(surfels.normal).argmax(axis=1)
     u, v = (axis + 1) % 3, (axis + 2) % 3
     across = surfels.normal[rows, axis]
     slope_u, slope_v = -surfels.normal[rows, u] / across, -surfels.normal[rows, v] / across
     corners = np.empty((n, 4, 3), np.float32)
-    centre = surfels.centre_m - origin_m
+    centre, (half_u, half_v) = surfels.centre_m - origin_m, surfels.half_m.T
     for number, (du, dv) in enumerate(_CORNERS):
         corners[:, number] = centre
-        corners[rows, number, u] += du * surfels.half_m
-        corners[rows, number, v] += dv * surfels.half_m
-        corners[rows, number, axis] += (du * slope_u + dv * slope_v) * surfels.half_m
+        corners[rows, number, u] += du * half_u
+        corners[rows, number, v] += dv * half_v
+        corners[rows, number, axis] += du * slope_u * half_u + dv * slope_v * half_v
     return corners
 
 

@@ -20,7 +20,6 @@ from roadsight.io.records.scene_tables import read_surfels, write_surfels
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.sight.objects import objects_of
-from roadsight.scene.surfels import Surfels
 from roadsight.stages.command import Command
 
 log = logging.getLogger("gather_objects")
@@ -53,8 +52,7 @@ def gather_objects(
     removed = _removed(remove, site, objects_path, objects)
     objects["removed"] = objects["name"].isin(removed).astype(np.int32)
     gone = np.isin(row, np.flatnonzero(objects["removed"]))
-    left = Surfels(surfels.centre_m[~gone], surfels.normal[~gone], surfels.half_m[~gone])
-    write_surfels(left_path, left, {"removed": sorted(removed)})
+    write_surfels(left_path, surfels.select(~gone), {"removed": sorted(removed)})
     centres = pd.DataFrame(surfels.centre_m, columns=["x", "y", "z"])
     stays = (row >= 0) & ~gone
     part = centres[stays].reset_index(drop=True)

@@ -148,8 +148,7 @@ def _without(surfels: Surfels, own: pd.DataFrame) -> Surfels:
     place = np.dtype((np.void, 3 * np.dtype(np.float32).itemsize))
     key = np.ascontiguousarray(surfels.centre_m, np.float32).view(place).ravel()
     gone = np.ascontiguousarray(own.to_numpy(np.float32)).view(place).ravel()
-    left = ~np.isin(key, gone)
-    return Surfels(surfels.centre_m[left], surfels.normal[left], surfels.half_m[left])
+    return surfels.select(~np.isin(key, gone))
 
 
 def _seen_without(

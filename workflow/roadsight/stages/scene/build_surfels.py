@@ -12,7 +12,7 @@ from roadsight.base.sections.sensing import SurfelMaking
 from roadsight.io.cloud.tiles import StandingCloud
 from roadsight.io.records.scene_tables import write_surfels
 from roadsight.scene.classes import VEGETATION
-from roadsight.scene.surfels import build_local_surfels, in_company
+from roadsight.scene.surfels import build_surfels, in_company
 from roadsight.scene.voxel_planes import add_moments, sum_moments
 from roadsight.stages.command import Command, logged
 
@@ -41,7 +41,7 @@ def write_scene_surfels(
         points += len(xyz)
     _tell_alone(cloud.points - points, cloud.points, settings.outlier_radius_m)
     voxels = add_moments(parts)
-    surfels = build_local_surfels(voxels)
+    surfels = build_surfels(voxels)
     log.info(
         "%d points, %d voxels of %.3f m, %d surfels",
         points,
