@@ -510,9 +510,10 @@ def all_settings(wildcards):
 
 
 def complete_steps():
-    """Give each step what follows from its name: its sources; of a site's, log and benchmark file.
+    """Give each step what follows from its name: its sources, and its log and benchmark file.
 
-    Plans, rounds, sensors and shards are folders of both, as in the path of the first output.
+    Plans, rounds, sensors and shards are folders of both, as in the path of the first output. A
+    step that names its log itself has the benchmark file of the same name.
     """
     unmoved = workflow.modifier.path_modifier
     for step in workflow.rules:
@@ -524,12 +525,14 @@ def complete_steps():
             continue
         if "code" not in step.input.keys():
             step.set_input(code=sources(step.name))
-        if step.log:
-            continue
-        parts = Path(strip_wildcard_constraints(step.output[0])).parts[2:]
-        folders = [part.partition(".")[0] for part in parts if "{" in part and "{site}" not in part]
-        step.set_log(str(Path("logs/{site}", *folders, f"{step.name}.log")))
-        step.benchmark = str(Path("results/{site}/benchmarks", *folders, f"{step.name}.tsv"))
+        if not step.log:
+            _, place, *parts = Path(strip_wildcard_constraints(step.output[0])).parts
+            folders = [
+                part.partition(".")[0] for part in parts if "{" in part.replace("{site}", "")
+            ]
+            step.set_log(str(Path("logs", place, *folders, f"{step.name}.log")))
+        _, *folders, name = Path(step.log[0]).with_suffix(".tsv").parts
+        step.benchmark = str(Path("results", *folders[:1], "benchmarks", *folders[1:], name))
 
 
 def state_parameters():
@@ -544,3 +547,14 @@ def state_parameters():
             function = getattr(file, "callable", None) or file
             if inspect.isfunction(function):
                 function.__signature__ = inspect.signature(function)
+
+
+# One line runs every stage. No step by itself.
+rule step:
+    conda:
+        ENVIRONMENT
+    params:
+        command=command,
+        settings="",
+    shell:
+        STEP

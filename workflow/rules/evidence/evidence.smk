@@ -1,10 +1,7 @@
-"""What accuracy costs in time: the sweeps of config/tradeoffs.yaml through the rules themselves.
-
-REQUIRED INPUTS  config/tradeoffs.yaml; finished results of the sites that it names
-OUTPUTS          results/tradeoffs/: tradeoffs.csv, tradeoffs.md, index.html
-"""
+"""What the workflow says of itself: trade-offs, hard cases, audits of effects, both studies."""
 
 
+# What accuracy costs in time: the sweeps of config/tradeoffs.yaml through the rules themselves.
 use rule step as measure_tradeoff with:
     input:
         base_files=base_of_study,
@@ -16,8 +13,6 @@ use rule step as measure_tradeoff with:
         out="results/tradeoffs/levels/{study}-{level}.json",
     log:
         "logs/tradeoffs/{study}-{level}.log",
-    benchmark:
-        "results/tradeoffs/benchmarks/{study}-{level}.tsv"
     resources:
         mem_mb=4000,
     params:
@@ -41,8 +36,6 @@ use rule step as measure_base with:
         out="results/tradeoffs/base/{job}.json",
     log:
         "logs/tradeoffs/base-{job}.log",
-    benchmark:
-        "results/tradeoffs/benchmarks/base-{job}.tsv"
     resources:
         mem_mb=4000,
     params:
@@ -61,10 +54,6 @@ use rule step as measure_precision with:
         frame=f"results/{site_of_job('placement')}/scene/frame.json",
     output:
         out="results/tradeoffs/precision.json",
-    log:
-        "logs/tradeoffs/measure_precision.log",
-    benchmark:
-        "results/tradeoffs/benchmarks/measure_precision.tsv"
 
 
 use rule step as write_tradeoffs with:
@@ -78,9 +67,105 @@ use rule step as write_tradeoffs with:
         csv="results/tradeoffs/tradeoffs.csv",
         table="results/tradeoffs/tradeoffs.md",
         page="results/tradeoffs/index.html",
-    log:
-        "logs/tradeoffs/write_tradeoffs.log",
-    benchmark:
-        "results/tradeoffs/benchmarks/write_tradeoffs.tsv"
     params:
         settings=told(length_km=measured_length_km()),
+
+
+# Where naive ways fail: the catalogue of hard cases, run both ways.
+use rule step as run_hardcases with:
+    input:
+        assets=[path for path in REPORT_ASSETS if path.endswith((".css", "hardcases.html.j2"))],
+    output:
+        table="results/hardcases/hardcases.csv",
+        page="results/hardcases/index.html",
+    log:
+        "logs/run_hardcases.log",
+    resources:
+        mem_mb=1500,
+    params:
+        settings=told(seed=CONFIG.seed),
+
+
+# How far decisions on effects were right: sites with `effects: audit` are run both ways.
+use rule step as audit_effects with:
+    input:
+        solution_files=lambda wildcards: (
+            f"results/{wildcards.site}/placement/{audited_plan(wildcards)}/solution.json"
+        ),
+        effects=rules.plan_effects.output.out,
+        catalogue=CONFIG.effects_file,
+    output:
+        out="results/audit/{site}.json",
+    log:
+        "logs/audit/{site}.log",
+    params:
+        settings=told(
+            site=wildcard("site"),
+            plan=audited_plan,
+            config=config_of_audit,
+            work="results/audit/variants/{site}",
+        ),
+
+
+use rule step as audit_pole_effects with:
+    input:
+        hazard_files="results/{site}/poles/hazard.parquet",
+        effects=rules.plan_effects.output.out,
+        catalogue=CONFIG.effects_file,
+    output:
+        out="results/audit/poles/{site}.json",
+    log:
+        "logs/audit/poles/{site}.log",
+    params:
+        settings=told(
+            effects_of_one_way,
+            site=wildcard("site"),
+            config=config_of_audit,
+            work="results/audit/variants/poles/{site}",
+        ),
+
+
+use rule step as write_audit with:
+    input:
+        rows=[
+            *(f"results/audit/{site}.json" for site in audited_sites("placement")),
+            *(f"results/audit/poles/{site}.json" for site in audited_sites("poles")),
+        ],
+        assets=REPORT_ASSETS,
+    output:
+        csv="results/audit/audit.csv",
+        table="results/audit/audit.md",
+        page="results/audit/index.html",
+
+
+# Tables and figures of both studies: published, ours as published, ours by default.
+use rule step as measure_paper with:
+    input:
+        base_files=base_of_paper,
+    output:
+        out="results/paper/runs/{size}/{run}.json",
+    log:
+        "logs/paper/{size}/{run}.log",
+    resources:
+        mem_mb=4000,
+    params:
+        command=command_with("cores"),
+        settings=told(
+            site=lambda wildcards: site_of_paper(wildcards),
+            config=lambda wildcards: config_of_paper(wildcards),
+            changes=lambda wildcards: json.dumps(changes_of_paper(wildcards)),
+            plans=lambda wildcards: run_of_paper(wildcards).plans,
+            targets=lambda wildcards: run_of_paper(wildcards).targets,
+            work="results/paper/variants/{size}/{run}",
+        ),
+
+
+use rule step as write_paper with:
+    input:
+        runs=runs_of_paper,
+        assets=REPORT_ASSETS,
+    output:
+        csv="results/paper/{size}.csv",
+        page="results/paper/{size}.html",
+    params:
+        settings=told(size=wildcard("size")),

@@ -1,6 +1,8 @@
-"""Helpers of the evidence rules: studies, their levels and the sites that they start from."""
+"""Helpers of the evidence rules: studies, audits, and the sites that they start from."""
 
 from roadsight.evidence.metrics import METRICS
+from roadsight.evidence import paper
+from roadsight.evidence.studies import load_overrides
 
 STUDIES = TRADEOFFS.studies
 
@@ -196,3 +198,66 @@ def measured_levels():
 def measured_length_km():
     """Length of the road of the pole job's site."""
     return SITES[site_of_job("poles")].site.sample.length_m / 1000
+
+
+def audited_sites(job):
+    """Sites that ask for an audit of a job."""
+    return [
+        site
+        for site, resolved in SITES.items()
+        if resolved.settings.effects == "audit" and wants(site, job)
+    ]
+
+
+def config_of_audit(wildcards):
+    """The configuration with the audited site and plan alone."""
+    plans = list(plans_of(wildcards.site))[:1]
+    changes = {"sites": [str(SITES[wildcards.site].file)], "plans": plans}
+    return CONFIG.model_copy(update=changes).model_dump_json()
+
+
+def effects_of_one_way(wildcards):
+    """Effects of the pole job that a site has no choice about: poses that nobody gives."""
+    given = SITES[wildcards.site].site.poles.cameras
+    return "" if given else "--leave-out road_alignment"
+
+
+def audited_plan(wildcards):
+    return next(iter(plans_of(wildcards.site)))
+
+
+wildcard_constraints:
+    size="short|long",
+    run=r"[a-z0-9_]+-[a-z0-9_]+",
+
+
+def run_of_paper(wildcards):
+    return paper.runs(wildcards.size)[wildcards.run]
+
+
+def site_of_paper(wildcards):
+    return paper.site_name(run_of_paper(wildcards).site, wildcards.size)
+
+
+def base_of_paper(wildcards):
+    """What the default run of a site makes; the other runs share it."""
+    runs = paper.runs(wildcards.size)
+    default = runs[f"{runs[wildcards.run].site}-default"]
+    return [f"results/{site_of_paper(wildcards)}/{target}" for target in default.targets]
+
+
+def config_of_paper(wildcards):
+    """The configuration with this site alone, whatever this run asks for."""
+    file = paper.site_file(run_of_paper(wildcards).site, wildcards.size)
+    return OWN_PLANS.model_copy(update={"sites": [file]}).model_dump_json()
+
+
+def changes_of_paper(wildcards):
+    """Settings of the published studies where the run has them, then the run's own."""
+    run = run_of_paper(wildcards)
+    named = clearly(load_overrides, paper.PUBLISHED_FILE) if run.published else {}
+    return merged(named, run.changes)
+
+
+def runs_of_paper(wildcards):
+    return [f"results/paper/runs/{wildcards.size}/{run}.json" for run in paper.runs(wildcards.size)]

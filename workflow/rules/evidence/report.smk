@@ -1,10 +1,4 @@
-"""What people and checks read: a summary of each site and one report page.
-
-REQUIRED INPUTS  everything a site's jobs produced
-OUTPUTS          results/{site}/summary.json, results/{site}/run.json (date, code and times),
-                 results/{site}/report.pdf, results/report.html,
-                 results/{site}/gis/: {site}.gpkg, .qgs, .kml, .dxf; results/{site}/stakeout.csv
-"""
+"""What people and checks read: a summary of each site and one report page."""
 
 
 use rule step as match_inputs with:
@@ -104,8 +98,6 @@ use rule step as write_report with:
         out="results/report.html",
     log:
         "logs/write_report.log",
-    benchmark:
-        "results/benchmarks/write_report.tsv"
     params:
         settings=told(evidence=evidence_pages()),
 
@@ -187,4 +179,38 @@ use rule step as write_poles_page with:
             title=site_field("title"),
             images=images_path,
             lenses=given_lenses,
+        ),
+
+
+# What each component of the pole job is worth.
+use rule step as compare_components with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=all_image_edges,
+        pole_axes=if_landmarks(all_pole_axes),
+        matches=if_ties(all_matches),
+        baseline=registered_cameras,
+        masks=all_masks,
+        depth=all_depths,
+        road_edges=rules.extract_road_edges.output.edges,
+        columns=rules.find_pole_columns.output.out,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+        decided=after_profile("sight_curvature", "side_views", "grid_convergence"),
+        voxels=rules.rasterise_lidar.output.voxels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        truth_files=known_poles,
+    output:
+        out="results/{site}/poles/components.json",
+    params:
+        settings=told(
+            settings=settings_of(
+                "calibration", "alignment", "sightings", "triangulation", "validation"
+            ),
+            views=used_views,
+            curvature=decision_on("sight_curvature"),
+            grid_convergence=decision_on("grid_convergence"),
+            truth=layered_site("truth.poles", known_poles),
+            truth_crs=site_field("truth.poles_crs"),
+            truth_kind=known_pole_kind,
         ),

@@ -1,8 +1,4 @@
-"""The optimal set of each plan, and what stands in its way.
-
-REQUIRED INPUTS  results/{site}/placement/: targets, candidates, detections and coverage of all rounds
-OUTPUTS          results/{site}/placement/{plan}/: solution, obstacles, scans of the chosen sensors
-"""
+"""The optimal set of each plan, and what stands in its way."""
 
 
 use rule step as solve_cover with:

@@ -1,12 +1,7 @@
-"""From a road to which sensor position sees which target.
-
-REQUIRED INPUTS  results/{site}/scene/* and placement/edges.gpkg
-OUTPUTS          results/{site}/placement/round-*/: candidates, depth maps, detections, coverage
-USUAL STEPS      candidates and targets, depth maps and detections by shard, coverage check, rounds
-                 of denser candidates near gaps
-"""
+"""From a road to which sensor position sees which target."""
 
 from roadsight.base.sections.sensing import CellFilling, TargetGrid
+from roadsight.base.sections.placement import Traffic
 
 
 use rule step as place_candidates with:
@@ -177,3 +172,111 @@ use rule step as densify_candidates with:
             mounts=layered_site("placement.mounts"),
             overhead_cover=decision_on("overhead_cover"),
         ),
+
+
+# Physical effects of the placement job; a rule runs only where its effect is simulated.
+use rule step as tilt_mounts with:
+    input:
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+    output:
+        out=TILTS_OF_ROUND,
+    params:
+        settings=told(mounting=setting("lidar.mounting")),
+
+
+use rule step as model_rain with:
+    output:
+        out="results/{site}/placement/effects/rain.json",
+    params:
+        settings=told(rain_mm_h=setting("conditions.rain_mm_h"), sensors=optical_names),
+
+
+use rule step as model_fog with:
+    output:
+        out="results/{site}/placement/effects/fog.json",
+    params:
+        settings=told(
+            visibility_m=setting("conditions.visibility_m"),
+            wavelengths_nm=sensor_wavelengths,
+        ),
+
+
+use rule step as measure_reflectivity with:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        pavement=rules.extract_pavement.output.pavement,
+    output:
+        out="results/{site}/placement/effects/reflectivity.json",
+        surfaces="results/{site}/placement/effects/surfaces.parquet",
+    resources:
+        mem_mb=megabytes(60),
+    params:
+        settings=told(
+            sensors=CONFIG.sensors_file,
+            names=sensor_names,
+            target_reflectivity=setting("conditions.target_reflectivity"),
+        ),
+        definitions=site_sensors_seeing,
+
+
+use rule step as trace_lanes with:
+    input:
+        edges=rules.build_edges.output.out,
+        pavement=rules.extract_pavement.output.pavement,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+    output:
+        out="results/{site}/placement/effects/lanes.parquet",
+    params:
+        settings=told(flags("conditions", Traffic), site=wildcard("site")),
+
+
+# Sensors in poses: those with a limited field of view, and spinning ones that a site turns.
+use rule step as detect_poses with:
+    input:
+        depth=panorama_of_shard,
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        targets=rules.place_targets.output.out,
+        tilts=only_if("mount_tilt", TILTS_OF_ROUND),
+        air=air_of_site,
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+    output:
+        out=ensure(
+            "results/{site}/placement/round-{round}/poses/{sensor}/{shard}.parquet",
+            non_empty=True,
+        ),
+    params:
+        settings=told(
+            target_box,
+            criteria_of_sensor,
+            sensor=wildcard("sensor"),
+            sensors=CONFIG.sensors_file,
+            yaw_deg=pose_angles("yaw_deg"),
+            pitch_deg=pose_angles("pitch_deg"),
+            roll_deg=pose_angles("roll_deg"),
+            radius_m=setting("targets.radius_m"),
+            height_m=target_height,
+            partial_hits=decision_on("partial_hits"),
+            curvature=decision_on("curvature_refraction"),
+        ),
+        sensor=sensor_definition,
+
+
+# Depth maps in pairs, to train a network on a site's own cloud; only where they are asked for.
+use rule step as render_depth_pairs with:
+    input:
+        candidates="results/{site}/placement/round-0/candidates.parquet",
+        cloud=rules.ingest_cloud.output.cloud,
+        traffic=traffic_mask,
+    output:
+        out=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        settings=told(seed=setting("seed")),

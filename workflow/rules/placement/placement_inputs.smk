@@ -1,8 +1,11 @@
-"""Helpers of the placement rules: plans, sensors, rounds and shards."""
+"""Helpers of the placement rules: plans, sensors, rounds and shards, targets, poses."""
 
 from roadsight.base.section import check_path
 from roadsight.placement.sensors.light import wavelength_nm
-from roadsight.placement.sensors.sensors import what_it_sees
+from roadsight.placement.sensors.poses import AS_MOUNTED, turns_of
+from roadsight.placement.sensors.sensors import AimedSensor, panorama_name, what_it_sees
+from roadsight.placement.sight.kinds import Box, room_for, shape_of
+from roadsight.placement.sight.probability import Curve
 
 TILTS_OF_ROUND = "results/{site}/placement/round-{round}/tilts.parquet"
 
@@ -374,3 +377,129 @@ def robust_arguments(wildcards):
         f" --curvature {decision_on('curvature_refraction')(wildcards)}"
     )
     return f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}"
+
+
+def box_of(site):
+    """The box that targets of a site are; None for cylinders."""
+    shape = shape_of(SITES[site].settings.targets.model_dump())
+    return shape if isinstance(shape, Box) else None
+
+
+def target_box(wildcards):
+    """Size of boxes as arguments; nothing for cylinders."""
+    box = box_of(wildcards.site)
+    return "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
+
+
+def target_room(wildcards):
+    """Radius and height about each target in which beams are cast."""
+    shape = shape_of(SITES[wildcards.site].settings.targets.model_dump())
+    return list(room_for(shape))
+
+
+def target_height(wildcards):
+    box = box_of(wildcards.site)
+    return setting("targets.height_m")(wildcards) if box is None else box.height_m
+
+
+def min_beams_of(site):
+    """More beams than this must return from a target of a site."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return targets.min_beams
+    return Curve(*targets.lidar_curve).needed(targets.min_probability) - 1
+
+
+def min_pixels_of(site):
+    """Pixels that cameras of a site need of a target; None: what their definitions say."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return None
+    return Curve(*targets.camera_curve).needed(targets.min_probability)
+
+
+def least_beams(wildcards):
+    return min_beams_of(wildcards.site)
+
+
+def edges_of_targets(wildcards):
+    """Edges along which targets stand, where they are boxes, or that bound the road."""
+    site = SITES[wildcards.site].site
+    needed = box_of(wildcards.site) is not None or site.placement.edges is not None
+    return [f"results/{wildcards.site}/placement/edges.gpkg"] if needed else []
+
+
+def target_width(wildcards):
+    """Width of a target, whatever its kind: the lesser side of a box."""
+    box = box_of(wildcards.site)
+    targets = SITES[wildcards.site].settings.targets
+    width_m = 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
+    return width_m
+
+
+def kind_of(sensor):
+    return SENSORS[sensor].to_dict()["kind"]
+
+
+def is_posed(site, sensor):
+    """Whether a sensor is judged in poses: all aimed ones, and spinning ones that are turned."""
+    if isinstance(SENSORS[sensor], AimedSensor):
+        return True
+    grid = SITES[site].settings.poses.spinning
+    return turns_of(grid.yaw_deg, grid.pitch_deg, grid.roll_deg) != [AS_MOUNTED]
+
+
+@lru_cache(maxsize=None)
+def panorama_of(site):
+    """Name of the panorama that serves all posed sensors of a site."""
+    ranges = [SENSORS[s].range_m for s in sensors_of(site) if is_posed(site, s)]
+    return panorama_name(SITES[site].settings.poses.panorama_step_deg, max(ranges))
+
+
+def panorama_of_shard(wildcards):
+    folder = f"results/{wildcards.site}/placement/round-{wildcards.round}"
+    return f"{folder}/depth/{panorama_of(wildcards.site)}/{wildcards.shard}.parquet"
+
+
+def pose_angles(angle):
+    """Angles in which the rule's sensor is tried."""
+
+    def angles(wildcards):
+        path = f"poses.{kind_of(wildcards.sensor)}.{angle}"
+        return setting(path)(wildcards)
+
+    return angles
+
+
+def criteria_of_sensor(wildcards):
+    """When the rule's sensor sees a target: what its kind asks, and nothing else."""
+    kind = kind_of(wildcards.sensor)
+    if kind == "radar":
+        asked = f"--rcs-m2 {setting('targets.rcs_m2')(wildcards)}"
+    elif kind == "camera":
+        pixels = min_pixels_of(wildcards.site)
+        asked = "" if pixels is None else f"--min-pixels {pixels}"
+    else:
+        asked = f"--min-beams {min_beams_of(wildcards.site)}"
+    return asked
+
+
+def sensor_of_map(wildcards):
+    """Definition of the sensor of a depth map; a panorama's name says all about it."""
+    return sensor_definition(wildcards) if wildcards.sensor in SENSORS else wildcards.sensor
+
+
+def stride_of_map(wildcards):
+    """Panoramas are never thinned."""
+    stride = setting("lidar.azimuth_stride")(wildcards)
+    return stride if wildcards.sensor in SENSORS else 1
+
+
+def tilts_of_map(wildcards):
+    """Panoramas are levelled, however the mount leans."""
+    return TILTS_OF_ROUND if wildcards.sensor in SENSORS else []
+
+
+def panorama_flag(wildcards):
+    """Said of a map that no sensor's own candidates limit."""
+    return "" if wildcards.sensor in SENSORS else "--panorama"

@@ -1,11 +1,139 @@
-"""From cameras and what their images show to poles on the map.
+"""From what images and cloud show to cameras, and to poles on the map."""
 
-REQUIRED INPUTS  results/{site}/poles/: frames, cameras, masks, depth, columns, voxels
-OUTPUTS          results/{site}/poles/: sightings, poles, hazard, validation, page
-USUAL STEPS      sightings, triangulation, hazard
-"""
+from roadsight.base.sections.poles import AlignmentLimits, Reach
 
 
+# What the cloud shows beside the road: pole-like columns; trees and guardrails, where asked for.
+use rule step as find_pole_columns with:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+    output:
+        out="results/{site}/poles/columns.parquet",
+    resources:
+        mem_mb=megabytes(60),
+        runtime=minutes(),
+    params:
+        settings=told("columns"),
+
+
+use rule step as find_roadside_objects with:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+    output:
+        out="results/{site}/poles/objects.parquet",
+    resources:
+        mem_mb=megabytes(60),
+        runtime=minutes(),
+    params:
+        settings=told(flags("sightings", "kinds", "building_classes", "headwall_classes")),
+
+
+# Where the camera of every image stood: aligned with the road, or given.
+use rule step as calibrate_drive with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=all_image_edges,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+        decided=after_profile("sight_curvature"),
+        pole_axes=if_landmarks(all_pole_axes),
+        columns=if_landmarks([rules.find_pole_columns.output.out]),
+        matches=if_ties(all_matches),
+        baseline=registered_cameras,
+        cloud=if_dense([rules.ingest_cloud.output.cloud]),
+        photographs_files=if_dense(rendered_images),
+        masks=if_dense(all_masks),
+        drive=if_dense(distorting_drive),
+        intrinsics_files=intrinsics_file,
+    output:
+        out="results/{site}/poles/calibration.json",
+        doubts="results/{site}/doubts/calibrate_drive.json",
+    resources:
+        mem_mb=camera_memory,
+    params:
+        settings=told(
+            "calibration",
+            flags("sightings", "left_yaw_deg", "right_yaw_deg"),
+            flags("alignment", Reach),
+            flags("alignment", "method"),
+            dense_options,
+            curvature=decision_on("sight_curvature"),
+        ),
+        images_sha256=dense_digest,
+
+
+use rule step as align_cameras with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=all_image_edges,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+        decided=after_profile("sight_curvature"),
+        pole_axes=if_landmarks(all_pole_axes),
+        columns=if_landmarks([rules.find_pole_columns.output.out]),
+        calibration=rules.calibrate_drive.output.out,
+        cloud=if_dense([rules.ingest_cloud.output.cloud]),
+        photographs_files=if_dense(rendered_images),
+        masks=if_dense(all_masks),
+        drive=if_dense(distorting_drive),
+        intrinsics_files=intrinsics_file,
+    output:
+        out=ensure("results/{site}/poles/cameras/{shard}.parquet", non_empty=True),
+    resources:
+        mem_mb=camera_memory,
+    params:
+        settings=told(
+            dense_options,
+            flags("alignment", "method", Reach, AlignmentLimits),
+            corrections=corrections_file,
+            curvature=decision_on("sight_curvature"),
+            shard=wildcard("shard"),
+            shards=setting("shards"),
+        ),
+        corrected=shard_corrections,
+        images_sha256=dense_digest,
+
+
+use rule step as use_given_cameras with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=rules.trace_image_edges.output.out,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        cameras=cameras_of_videolog,
+        intrinsics=intrinsics_file,
+    output:
+        out=ensure("results/{site}/poles/given_cameras/{shard}.parquet", non_empty=True),
+    params:
+        settings=told(
+            flags("alignment", Reach),
+            shard=wildcard("shard"),
+            shards=setting("shards"),
+        ),
+
+
+use rule step as score_cameras with:
+    input:
+        cameras=all_cameras,
+        truth=known_cameras,
+        intrinsics=beside_site("truth.intrinsics"),
+        frame=rules.ingest_cloud.output.frame,
+        road_edges=rules.extract_road_edges.output.edges,
+    output:
+        errors="results/{site}/poles/camera_errors.parquet",
+        out="results/{site}/poles/camera_scores.json",
+
+
+# From cameras and what their images show to poles on the map.
 use rule step as turn_side_views with:
     input:
         frames=rules.read_videolog.output.out,

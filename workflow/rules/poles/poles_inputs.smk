@@ -1,4 +1,9 @@
-"""Helpers of the pole rules: shards, the road, known and found poles."""
+"""Helpers of the pole rules: shards, the road, known and found poles, cameras."""
+
+from roadsight.base.shards import deal
+from roadsight.io.images.camera_tables import corrections_of
+from roadsight.io.images.videolog_files import check_corrections, dealt_images, videolog_images
+from roadsight_worlds.rural.image_names import image_names
 
 
 def image_shards(wildcards):
@@ -120,3 +125,152 @@ def pole_files(wildcards):
         "road_geometry.csv",
     )
     return [f"results/{wildcards.site}/poles/{name}" for name in names]
+
+
+def aligns(wildcards):
+    """Whether cameras are found by aligning them with the road."""
+    await_profile("road_alignment", wildcards)
+    aligned = decided("road_alignment", wildcards) == "simulate"
+    resolved = SITES[wildcards.site]
+    if not aligned and not resolved.site.poles.cameras:
+        refuse(
+            "road_alignment is skipped, but no cameras are given",
+            where=f"{resolved.file}: settings.effects",
+            hint="give poles.cameras, or leave the decision to the share of given cameras",
+        )
+    return aligned
+
+
+def registered_cameras(wildcards):
+    """Registered cameras: the site's file; where the published alignment needs one, the sample's."""
+    resolved = SITES[wildcards.site]
+    given = beside_site("poles.baseline")(wildcards)
+    if given or resolved.setting("alignment.method") != "published":
+        return given
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/baseline.json"]
+    return refuse(
+        "the published alignment starts from a registered camera of each image size",
+        where=f"{resolved.file}: poles.baseline",
+        found="none",
+        hint="register one image of each size with `roadsight register` or in the studio",
+    )
+
+
+def camera_folder(wildcards):
+    return "cameras" if aligns(wildcards) else "given_cameras"
+
+
+def all_cameras(wildcards):
+    return pole_shards(camera_folder(wildcards), "parquet")(wildcards)
+
+
+def cameras_of_shard(wildcards):
+    folder = camera_folder(wildcards)
+    return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.parquet"
+
+
+def calibration_if_aligned(wildcards):
+    """The drives' calibration, which given cameras do not need."""
+    found = f"results/{wildcards.site}/poles/calibration.json"
+    return [found] if aligns(wildcards) else []
+
+
+def side_turns_if_used(wildcards):
+    """Yaw of the side views from what images share, where cameras are aligned and views are used."""
+    await_profile("side_views", wildcards)
+    stitched = SITES[wildcards.site].setting("sightings.side_views") == "stitched"
+    used = used_views(wildcards) != ["front"] and aligns(wildcards) and not stitched
+    return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
+
+
+def cameras_of_videolog(wildcards):
+    """Cameras that come with the videolog: the site's file, or those of the generated site."""
+    if SITES[wildcards.site].site.poles.cameras == "sample":
+        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
+    return beside_site("poles.cameras")(wildcards)
+
+
+def known_lens(site):
+    """Numbers of the site's known lens, the path of their table, or None."""
+    return SITES[site].site.poles.intrinsics
+
+
+def intrinsics_file(wildcards):
+    """Table of known lenses, where the site names one."""
+    stated = known_lens(wildcards.site)
+    return [SITES[wildcards.site].beside(stated)] if isinstance(stated, str) else []
+
+
+def intrinsics_option(wildcards):
+    """Known lenses as the stages take them: a path, or a row as JSON; empty without any."""
+    stated = known_lens(wildcards.site)
+    if stated is None or isinstance(stated, str):
+        return (intrinsics_file(wildcards) or [""])[0]
+    return stated.model_dump_json(exclude_none=True)
+
+
+def is_dense(wildcards):
+    """Whether cameras are aligned with all that photographs and cloud share."""
+    method = SITES[wildcards.site].setting("alignment.method")
+    return method == "dense" or (method == "auto" and known_lens(wildcards.site) is not None)
+
+
+if_dense = where(is_dense)
+
+
+def dense_digest(wildcards):
+    return image_digest()(wildcards) if is_dense(wildcards) else ""
+
+
+def camera_memory(wildcards, attempt):
+    """Fields of a dozen photographs and the cloud around them took 1.5 GB."""
+    return attempt * (2500 if is_dense(wildcards) else 1000)
+
+
+def dense_options(wildcards):
+    """Options of the dense alignment that are no files of the workflow."""
+    lens = intrinsics_option(wildcards)
+    parts = ["--intrinsics", shlex.quote(lens)] if lens else []
+    if is_dense(wildcards):
+        parts += ["--photographs", shlex.quote(str(images_path(wildcards)))]
+        parts += ["--lenses", shlex.quote(given_lenses(wildcards))]
+    return " ".join(parts)
+
+
+if_landmarks = where(lambda wildcards: setting("alignment.landmarks")(wildcards) == "use")
+if_ties = where(lambda wildcards: setting("alignment.ties")(wildcards) == "use")
+
+
+def shard_corrections(wildcards):
+    """What a person set for images of this shard, so that only their shard becomes stale."""
+    resolved = SITES[wildcards.site]
+    path = resolved.beside(resolved.site.poles.corrections)
+    if path is None:
+        return []
+    dealt = clearly(images_by_shard, wildcards.site, path)
+    return clearly(corrections_of, path, dealt[int(wildcards.shard)])
+
+
+@lru_cache(maxsize=None)
+def images_by_shard(site, path):
+    """Names of each shard's images; refuse corrections of which none is about an image."""
+    resolved = SITES[site]
+    shards, every = resolved.settings.shards, resolved.settings.videolog.every
+    if sample := resolved.site.sample:
+        known = image_names(sample.length_m, 1)
+        dealt = deal(image_names(sample.length_m, every), shards)
+    else:
+        images = resolved.beside(resolved.site.poles.images)
+        table = resolved.beside(resolved.site.poles.videolog) or images
+        known = videolog_images(table, images)
+        dealt = dealt_images(table, images, shards, every)
+    check_corrections(known, path)
+    return [{name for name, own in dealt.items() if own == shard} for shard in range(shards)]
+
+
+def corrections_file(wildcards):
+    """The table of corrections, for shards that it is about."""
+    resolved = SITES[wildcards.site]
+    about = shard_corrections(wildcards)
+    return [resolved.beside(resolved.site.poles.corrections)] if about else []

@@ -1,9 +1,4 @@
-"""What the images of a videolog show, shard by shard.
-
-REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, depth, image edges, pole axes,
-                 matches
-"""
+"""What the images of a videolog show, shard by shard."""
 
 from roadsight.base.sections.poles import PoleMasks
 
