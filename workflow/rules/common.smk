@@ -161,6 +161,10 @@ def setting(path):
     return lambda wildcards: SITES[wildcards.site].setting(path)
 
 
+# What a stage that does one shard of all images is told.
+ONE_SHARD = {"shard": wildcard("shard"), "shards": setting("shards")}
+
+
 def flags(section, *asked):
     """Options of a section: of all its settings, or of those asked for by name or by a part of it."""
 
@@ -294,27 +298,35 @@ def million_points(input):
     return os.path.getsize(cloud) / 9 / 1e6 if cloud and os.path.exists(cloud) else 4
 
 
-def megabytes(per_million_points, base=600):
-    """Memory for a stage that holds the cloud: calibrated on logs, more with each attempt."""
-
-    def mem_mb(wildcards, input, attempt):
-        return int((base + per_million_points * million_points(input)) * attempt)
-
-    return mem_mb
+def by_points(base, per_million_points):
+    """An amount that grows with the cloud of a stage, and with each attempt."""
+    return lambda wildcards, input, attempt: int(
+        (base + per_million_points * million_points(input)) * attempt
+    )
 
 
-def minutes(per_million_points=5, base=30):
-    """Time for a stage that works through the cloud: ten times what a slow core needs."""
+def megabytes(per_million_points):
+    """Memory for a stage that holds the cloud: calibrated on logs."""
+    return by_points(600, per_million_points)
 
-    def runtime(wildcards, input, attempt):
-        return int((base + per_million_points * million_points(input)) * attempt)
 
-    return runtime
+# Minutes for a stage that works through the cloud: ten times what a slow core needs.
+MINUTES = by_points(30, 5)
+
+
+def holding_cloud(megabytes_per_million_points):
+    """Memory and time of a stage that holds the cloud."""
+    return {"mem_mb": megabytes(megabytes_per_million_points), "runtime": MINUTES}
 
 
 def each_attempt(amount):
     """An amount that grows with each attempt."""
     return lambda wildcards, attempt: amount * attempt
+
+
+def non_empty(path):
+    """An output that is there but empty is a failure."""
+    return ensure(path, non_empty=True)
 
 
 def wants(site, job):

@@ -75,8 +75,7 @@ use rule step as write_site_page with:
     output:
         out="results/{site}/page.json",
     resources:
-        mem_mb=megabytes(100),
-        runtime=minutes(),
+        **holding_cloud(100),
     params:
         settings=told(
             site=wildcard("site"),

@@ -73,8 +73,7 @@ use rule step as find_obstacles with:
     output:
         out="results/{site}/placement/{plan}/obstacles.gpkg",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(
             cell_arguments,
@@ -101,8 +100,7 @@ use rule step as render_scans with:
     output:
         out="results/{site}/placement/{plan}/scans.laz",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(sensors=CONFIG.sensors_file, engine=setting("lidar.engine")),
         sensors=plan_costs,
@@ -127,8 +125,7 @@ use rule step as measure_data with:
         out="results/{site}/placement/{plan}/data.json",
         layers="results/{site}/placement/{plan}/data.gpkg",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(
             target_box,
@@ -161,8 +158,7 @@ use rule step as measure_tolerance with:
         out="results/{site}/placement/{plan}/tolerance.json",
         layers="results/{site}/placement/{plan}/tolerance.gpkg",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(
             change_arguments,
@@ -193,8 +189,7 @@ use rule step as try_removals with:
     output:
         out="results/{site}/placement/{plan}/removals.json",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(
             change_arguments,

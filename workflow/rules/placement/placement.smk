@@ -17,8 +17,7 @@ use rule step as place_candidates with:
     output:
         out="results/{site}/placement/round-0/candidates.parquet",
     resources:
-        mem_mb=megabytes(60),
-        runtime=minutes(),
+        **holding_cloud(60),
     params:
         settings=told(
             "candidates",
@@ -52,8 +51,7 @@ use rule step as gather_objects with:
         members="results/{site}/placement/objects.parquet",
         left="results/{site}/placement/surfels_left.parquet",
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(site=wildcard("site"), remove=site_field("placement.remove")),
 
@@ -70,13 +68,9 @@ use rule step as render_depth_maps with:
         decided=after_profile("hole_filling", "curvature_refraction"),
         code=sources_with("render_depth_maps", setting("lidar.engine")),
     output:
-        out=ensure(
-            "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",
-            non_empty=True,
-        ),
+        out=non_empty("results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet"),
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(
             flags("lidar", CellFilling),
@@ -106,10 +100,7 @@ use rule step as build_detection_shard with:
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         decided=after_profile("partial_hits", "curvature_refraction"),
     output:
-        out=ensure(
-            "results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet",
-            non_empty=True,
-        ),
+        out=non_empty("results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet"),
     params:
         settings=told(
             target_box,
@@ -246,10 +237,7 @@ use rule step as detect_poses with:
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         decided=after_profile("partial_hits", "curvature_refraction"),
     output:
-        out=ensure(
-            "results/{site}/placement/round-{round}/poses/{sensor}/{shard}.parquet",
-            non_empty=True,
-        ),
+        out=non_empty("results/{site}/placement/round-{round}/poses/{sensor}/{shard}.parquet"),
     params:
         settings=told(
             target_box,
@@ -274,9 +262,8 @@ use rule step as render_depth_pairs with:
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
     output:
-        out=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
+        out=non_empty("results/{site}/placement/pairs/{site}.hybrid.npz"),
     resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
+        **holding_cloud(250),
     params:
         settings=told(seed=setting("seed")),

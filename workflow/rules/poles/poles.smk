@@ -12,8 +12,7 @@ use rule step as find_pole_columns with:
     output:
         out="results/{site}/poles/columns.parquet",
     resources:
-        mem_mb=megabytes(60),
-        runtime=minutes(),
+        **holding_cloud(60),
     params:
         settings=told("columns"),
 
@@ -26,8 +25,7 @@ use rule step as find_roadside_objects with:
     output:
         out="results/{site}/poles/objects.parquet",
     resources:
-        mem_mb=megabytes(60),
-        runtime=minutes(),
+        **holding_cloud(60),
     params:
         settings=told(flags("sightings", "kinds", "building_classes", "headwall_classes")),
 
@@ -86,7 +84,7 @@ use rule step as align_cameras with:
         drive=if_dense(distorting_drive),
         intrinsics_files=intrinsics_file,
     output:
-        out=ensure("results/{site}/poles/cameras/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/cameras/{shard}.parquet"),
     resources:
         mem_mb=camera_memory,
     params:
@@ -95,8 +93,7 @@ use rule step as align_cameras with:
             flags("alignment", "method", Reach, AlignmentLimits),
             corrections=corrections_file,
             curvature=decision_on("sight_curvature"),
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
         corrected=shard_corrections,
         images_sha256=dense_digest,
@@ -112,13 +109,9 @@ use rule step as use_given_cameras with:
         cameras=cameras_of_videolog,
         intrinsics=intrinsics_file,
     output:
-        out=ensure("results/{site}/poles/given_cameras/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/given_cameras/{shard}.parquet"),
     params:
-        settings=told(
-            flags("alignment", Reach),
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(flags("alignment", Reach), **ONE_SHARD),
 
 
 use rule step as score_cameras with:
@@ -163,7 +156,7 @@ use rule step as measure_poles with:
         frame=rules.ingest_cloud.output.frame,
         decided=after_profile("side_views", "grid_convergence"),
     output:
-        out=ensure("results/{site}/poles/sightings/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/sightings/{shard}.parquet"),
         seen="results/{site}/poles/seen/{shard}.parquet",
         markings="results/{site}/poles/markings/{shard}.parquet",
     params:
@@ -172,8 +165,7 @@ use rule step as measure_poles with:
             flags("image_edges", "min_marking_px"),
             views=used_views,
             grid_convergence=decision_on("grid_convergence"),
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
 
 

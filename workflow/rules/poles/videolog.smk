@@ -44,18 +44,11 @@ use rule step as segment_images with:
         models_files=mask_models,
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/masks/{shard}.zip", non_empty=True),
+        out=non_empty("results/{site}/poles/masks/{shard}.zip"),
     resources:
         mem_mb=each_attempt(2000),
     params:
-        settings=told(
-            mask_options,
-            "networks",
-            images=images_path,
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(mask_options, "networks", images=images_path, views=used_views, **ONE_SHARD),
         images_sha256=image_digest("masks"),
         models_sha256=models_digest(mask_models),
 
@@ -67,7 +60,7 @@ use rule step as estimate_depth with:
         models_files=depth_models,
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/depth/{shard}.zip", non_empty=True),
+        out=non_empty("results/{site}/poles/depth/{shard}.zip"),
     resources:
         mem_mb=each_attempt(2000),
     params:
@@ -77,8 +70,7 @@ use rule step as estimate_depth with:
             source=depth_source,
             folder_kind=depth_kind,
             views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
         images_sha256=image_digest("depth"),
         models_sha256=models_digest(depth_models),
@@ -92,17 +84,11 @@ use rule step as undistort_views with:
         maps="results/{site}/poles/{kind}/{shard}.zip",
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/straight/{kind}/{shard}.zip", non_empty=True),
+        out=non_empty("results/{site}/poles/straight/{kind}/{shard}.zip"),
     wildcard_constraints:
         kind="masks|depth",
     params:
-        settings=told(
-            images=images_path,
-            lenses=given_lenses,
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(images=images_path, lenses=given_lenses, views=used_views, **ONE_SHARD),
 
 
 use rule step as trace_image_edges with:
@@ -110,9 +96,9 @@ use rule step as trace_image_edges with:
         frames=rules.read_videolog.output.out,
         masks=without_distortion("masks"),
     output:
-        out=ensure("results/{site}/poles/image_edges/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/image_edges/{shard}.parquet"),
     params:
-        settings=told("image_edges", shard=wildcard("shard"), shards=setting("shards")),
+        settings=told("image_edges", **ONE_SHARD),
 
 
 use rule step as trace_pole_axes with:
@@ -121,14 +107,9 @@ use rule step as trace_pole_axes with:
         masks=without_distortion("masks"),
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/pole_axes/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/pole_axes/{shard}.parquet"),
     params:
-        settings=told(
-            flags("sightings", PoleMasks),
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(flags("sightings", PoleMasks), views=used_views, **ONE_SHARD),
 
 
 use rule step as match_images with:
@@ -137,12 +118,7 @@ use rule step as match_images with:
         images_files=rendered_images,
         drive=distorting_drive,
     output:
-        out=ensure("results/{site}/poles/matches/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/matches/{shard}.parquet"),
     params:
-        settings=told(
-            images=images_path,
-            lenses=given_lenses,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(images=images_path, lenses=given_lenses, **ONE_SHARD),
         images_sha256=image_digest(),

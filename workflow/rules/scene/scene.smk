@@ -17,10 +17,7 @@ use rule step as generate_sample with:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        settings=told(
-            sample_flags(HighwayScene, "length_m", "class_scheme"),
-            seed=setting("seed"),
-        ),
+        settings=told(sample_flags(HighwayScene, "length_m", "class_scheme"), seed=setting("seed")),
 
 
 use rule step as generate_rural with:
@@ -44,7 +41,7 @@ use rule step as generate_rural with:
 
 use rule step as render_videolog with:
     output:
-        images=ensure("results/{site}/sample/images/{shard}.zip", non_empty=True),
+        images=non_empty("results/{site}/sample/images/{shard}.zip"),
     wildcard_constraints:
         site=sites_with_scene("rural"),
     resources:
@@ -53,8 +50,7 @@ use rule step as render_videolog with:
         settings=told(
             sample_flags(RuralScene, RuralLenses, "length_m"),
             seed=setting("seed"),
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
 
 
@@ -93,8 +89,7 @@ checkpoint profile_scene:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=megabytes(100),
-        runtime=minutes(),
+        **holding_cloud(100),
     params:
         command=command,
         settings="",
@@ -112,8 +107,7 @@ use rule step as build_dem with:
         ground="results/{site}/scene/ground.parquet",
         doubts="results/{site}/doubts/build_dem.json",
     resources:
-        mem_mb=megabytes(60),
-        runtime=minutes(),
+        **holding_cloud(60),
     params:
         settings=told("ground", site=wildcard("site")),
 
@@ -127,8 +121,7 @@ use rule step as cluster_fpfh with:
     output:
         out="results/{site}/scene/fpfh_clusters.parquet",
     resources:
-        mem_mb=megabytes(150),
-        runtime=minutes(),
+        **holding_cloud(150),
     params:
         settings=told(flags("pavement", GroundClasses), seed=setting("seed")),
 
@@ -150,7 +143,7 @@ use rule step as extract_pavement with:
         doubts="results/{site}/doubts/extract_pavement.json",
     resources:
         mem_mb=memory_of_pavement,
-        runtime=minutes(),
+        runtime=MINUTES,
     params:
         settings=told(
             flags("pavement", "method", "intensity"),
@@ -212,8 +205,7 @@ use rule step as mark_traffic with:
     output:
         out="results/{site}/scene/traffic.parquet",
     resources:
-        mem_mb=megabytes(100),
-        runtime=minutes(),
+        **holding_cloud(100),
     params:
         settings=told(clear_below_m=setting("lidar.clear_below_m")),
 
@@ -226,8 +218,7 @@ use rule step as build_surfels with:
     output:
         out="results/{site}/scene/surfels.parquet",
     resources:
-        mem_mb=megabytes(200),
-        runtime=minutes(),
+        **holding_cloud(200),
     params:
         settings=told(flags("lidar", SurfelMaking)),
 
@@ -244,8 +235,7 @@ use rule step as rasterise_lidar with:
         top="results/{site}/poles/top.tif",
     threads: 2
     resources:
-        mem_mb=megabytes(10),
-        runtime=minutes(),
+        **holding_cloud(10),
     params:
         command=command_with("threads"),
         settings=told("voxels", road_source=road_source),
@@ -271,8 +261,7 @@ use rule step as build_terrain with:
     output:
         out="results/{site}/poles/terrain.npz",
     resources:
-        mem_mb=megabytes(60),
-        runtime=minutes(),
+        **holding_cloud(60),
     params:
         settings=told(flags("voxels", RoadClasses), "terrain_mesh"),
 
