@@ -27,14 +27,18 @@ rule all:
         "results/report.html",
         printed_reports(),
         handovers(),
-        summaries(),
+        asked(["results/{site}/summary.json"]),
     localrule: True
 
 
+SCENE_RESULTS = ["results/{site}/scene/pavement.gpkg", "results/{site}/placement/edges.gpkg"]
+POLE_RESULTS = [
+    f"results/{{site}}/poles/{f}" for f in ("poles.gpkg", "hazard.parquet", "page.json")
+]
 TARGETS = {
-    "scene": scene_results(),
+    "scene": asked(SCENE_RESULTS, "scene", "placement"),
     "placement": placement_results(),
-    "poles": pole_results(),
+    "poles": asked(POLE_RESULTS, "poles"),
     "tradeoffs": rules.write_tradeoffs.output,
     "audit": rules.write_audit.output,
     "truth": rules.write_truth.output,

@@ -8,22 +8,17 @@ import re
 import shlex
 import sys
 from functools import lru_cache
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import (
-    check_engines,
-    load_config,
-    load_site,
-    load_sites,
-    merged,
-)
+from roadsight.config.load import check_engines, load_config, load_site, load_sites, merged
 from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
-from roadsight.io.records.sources import CachedChecksums
-from roadsight.io.records.sources import Stamps, stage_module
+from roadsight.io.records.sources import CachedChecksums, Stamps, stage_module
 from roadsight.io.records.companions import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
@@ -78,13 +73,9 @@ TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file, BRINGS_OPEN3D or None
 # `tradeoffs`, `audit` and `paper` ask for them. They solve their own plans, whatever plans a run asks for.
 OWN_PLANS = CONFIG.model_copy(update={"plans": []})
 AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
+OTHER_SITES = OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]})
 SITES = (
-    clearly(load_evidence_sites, CONFIG, TRADEOFFS)
-    | clearly(
-        load_sites,
-        OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]}),
-    )
-    | ASKED_SITES
+    clearly(load_evidence_sites, CONFIG, TRADEOFFS) | clearly(load_sites, OTHER_SITES) | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
 STAMPS = Stamps(Path(".snakemake/roadsight/sources"), LOCK)
@@ -168,19 +159,19 @@ ONE_SHARD = {"shard": wildcard("shard"), "shards": setting("shards")}
 def flags(section, *asked):
     """Options of a section: of all its settings, or of those asked for by name or by a part of it."""
 
-    def options(wildcards):
-        values = SITES[wildcards.site].setting(section).model_dump()
-        return as_options({name: values[name] for name in settings_in(asked) or values})
-
-    return options
+    return options_of(setting(section), asked)
 
 
 def sample_flags(*asked):
     """The same of what a site says of its generated scene."""
+    return options_of(site_field("sample"), asked)
 
+
+def options_of(values_of, asked):
     def options(wildcards):
-        values = SITES[wildcards.site].site.sample.model_dump()
-        return as_options({name: values[name] for name in settings_in(asked)})
+        values = values_of(wildcards).model_dump()
+        parts = [[part] if isinstance(part, str) else part.model_fields for part in asked]
+        return as_options({name: values[name] for name in [*chain(*parts)] or values})
 
     return options
 
@@ -193,14 +184,6 @@ def settings_of(*sections):
         return json.dumps({name: found.setting(name).model_dump() for name in sections})
 
     return content
-
-
-def settings_in(asked):
-    """Names of settings: those named, and all of the sections among them."""
-    found = []
-    for part in asked:
-        found += [part] if isinstance(part, str) else part.model_fields
-    return found
 
 
 def as_options(values):
@@ -218,13 +201,16 @@ def as_options(values):
     return " ".join(parts)
 
 
-def site_field(path):
+def stated(path, wildcards):
     """Value of a site file's field."""
+    return attrgetter(path)(SITES[wildcards.site].site)
+
+
+def site_field(path):
+    """The same as a parameter, empty where there is none."""
 
     def value(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
+        content = stated(path, wildcards)
         return "" if content is None else content
 
     return value
@@ -267,11 +253,19 @@ def beside_site(path):
     """Optional file that the site file names, as a list of inputs: with all of a shapefile."""
 
     def files(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
-        found = SITES[wildcards.site].beside(content)
+        found = SITES[wildcards.site].beside(stated(path, wildcards))
         return [] if found is None else with_companions(found)
+
+    return files
+
+
+def sample_or_beside(path, generated, where_stated=False):
+    """The same, but a generated site has this file of its sample; if so said, where it states it."""
+
+    def files(wildcards):
+        if (stated(path, wildcards) == "sample") if where_stated else is_rendered(wildcards):
+            return [f"results/{wildcards.site}/sample/{generated}"]
+        return beside_site(path)(wildcards)
 
     return files
 
@@ -280,9 +274,7 @@ def layered_site(path, otherwise=None):
     """The same as an argument of a stage: with the layer that the site file names."""
 
     def files(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
+        content = stated(path, wildcards)
         if content is None or content == "sample":
             return (otherwise or beside_site(path))(wildcards)
         return [SITES[wildcards.site].layered(content)]
@@ -367,12 +359,13 @@ def has_scene_page(site):
     return wants(site, "scene") or wants(site, "placement")
 
 
-def scene_results():
+def asked(results, *jobs):
+    """Results of the sites that a run asks for: of those with any of the jobs, or of all."""
     return [
-        f"results/{site}/{file}"
+        result.replace("{site}", site)
         for site in ASKED_SITES
-        if has_scene_page(site)
-        for file in ("scene/pavement.gpkg", "placement/edges.gpkg")
+        if not jobs or any(wants(site, job) for job in jobs)
+        for result in results
     ]
 
 
@@ -400,44 +393,21 @@ def evidence_pages():
     ]
 
 
-def site_pages():
-    return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
-
-
-def site_runs():
-    """When and by what each reported site was made."""
-    return [
-        f"results/{site}/run.json"
-        for site in ASKED_SITES
-        if has_scene_page(site) or wants(site, "poles")
-    ]
-
-
 def printed_reports():
     """The sites' reports on paper; without the engine that sets them, this is said and no more."""
     if importlib.util.find_spec("typst") is None:
         print("no report.pdf: the package typst is not installed", file=sys.stderr)
         return []
-    return [
-        f"results/{site}/report.pdf"
-        for site in ASKED_SITES
-        if has_scene_page(site) or wants(site, "poles")
-    ]
+    return asked(["results/{site}/report.pdf"])
 
 
 def handovers():
     """What GIS, CAD and crews take along."""
     found = []
     for site in ASKED_SITES:
-        if has_scene_page(site) or wants(site, "poles"):
-            found += [f"results/{site}/gis/{site}.{kind}" for kind in ("gpkg", "qgs", "kml", "dxf")]
-        if wants(site, "placement"):
-            found.append(f"results/{site}/stakeout.csv")
+        found += [f"results/{site}/gis/{site}.{kind}" for kind in ("gpkg", "qgs", "kml", "dxf")]
+        found += [f"results/{site}/stakeout.csv"] if wants(site, "placement") else []
     return found
-
-
-def summaries():
-    return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
 
 def site_extent(wildcards):
@@ -478,18 +448,8 @@ def layered_extent_files(wildcards):
     return extent_files(wildcards)
 
 
-def edges_file(wildcards):
-    """Digitised edges: the site's file, or those that come with the generated sample."""
-    if SITES[wildcards.site].site.placement.edges == "sample":
-        return [f"results/{wildcards.site}/sample/edges.geojson"]
-    return beside_site("placement.edges")(wildcards)
-
-
-def pavement_truth(wildcards):
-    """Reference polygons for scoring: the site's file, or the generated sample's truth."""
-    if SITES[wildcards.site].site.sample:
-        return [f"results/{wildcards.site}/sample/truth.gpkg"]
-    return beside_site("truth.pavement")(wildcards)
+edges_file = sample_or_beside("placement.edges", "edges.geojson", where_stated=True)
+pavement_truth = sample_or_beside("truth.pavement", "truth.gpkg")
 
 
 def pavement_scores(wildcards):
@@ -514,11 +474,6 @@ def given_files(wildcards):
             beside_site("roads.barriers"),
         ]
     return [file for named in files for file in named(wildcards)]
-
-
-def all_settings(wildcards):
-    """Every setting of the site as JSON, for the record."""
-    return SITES[wildcards.site].settings.model_dump_json()
 
 
 def complete_steps():

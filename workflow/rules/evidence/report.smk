@@ -48,7 +48,7 @@ use rule step as summarise_site with:
             benchmarks="results/{site}/benchmarks",
             site=wildcard("site"),
             seed=setting("seed"),
-            settings=all_settings,
+            settings=lambda wildcards: SITES[wildcards.site].settings.model_dump_json(),
             sensors=site_sensors_json,
         ),
 
@@ -88,9 +88,9 @@ use rule step as write_site_page with:
 
 use rule step as write_report with:
     input:
-        pages=site_pages(),
-        poles_pages=pole_pages(),
-        runs=site_runs(),
+        pages=asked(["results/{site}/page.json"], "scene", "placement"),
+        poles_pages=asked(["results/{site}/poles/page.json"], "poles"),
+        runs=asked(["results/{site}/run.json"]),
         handed_over_files=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
     output:

@@ -57,11 +57,9 @@ def pole_frames(wildcards):
     return f"results/{wildcards.site}/poles/frames.parquet"
 
 
-def known_poles(wildcards):
-    """Known poles: the site's file, or those of the generated site."""
-    if is_rendered(wildcards):
-        return [f"results/{wildcards.site}/sample/truth_poles.csv"]
-    return beside_site("truth.poles")(wildcards)
+known_poles = sample_or_beside("truth.poles", "truth_poles.csv")
+known_cameras = sample_or_beside("truth.cameras", "truth_cameras.csv")
+cameras_of_videolog = sample_or_beside("poles.cameras", "truth_cameras.csv", where_stated=True)
 
 
 def known_roadside(wildcards):
@@ -75,13 +73,6 @@ def known_pole_kind(wildcards):
     if is_rendered(wildcards):
         return "utility"
     return SITES[wildcards.site].site.truth.poles_kind or ""
-
-
-def known_cameras(wildcards):
-    """Known cameras: the site's file, or those of the generated site."""
-    if is_rendered(wildcards):
-        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
-    return beside_site("truth.cameras")(wildcards)
 
 
 def camera_scores(wildcards):
@@ -99,19 +90,6 @@ def compared_components(wildcards):
     asked = SITES[wildcards.site].setting("validation.components") == "compare"
     known = asked and pole_validation(wildcards)
     return [f"results/{wildcards.site}/poles/components.json"] if known else []
-
-
-def pole_results():
-    return [
-        f"results/{site}/poles/{file}"
-        for site in ASKED_SITES
-        if wants(site, "poles")
-        for file in ("poles.gpkg", "hazard.parquet", "page.json")
-    ]
-
-
-def pole_pages():
-    return [f"results/{site}/poles/page.json" for site in ASKED_SITES if wants(site, "poles")]
 
 
 def pole_files(wildcards):
@@ -182,13 +160,6 @@ def side_turns_if_used(wildcards):
     stitched = SITES[wildcards.site].setting("sightings.side_views") == "stitched"
     used = used_views(wildcards) != ["front"] and aligns(wildcards) and not stitched
     return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
-
-
-def cameras_of_videolog(wildcards):
-    """Cameras that come with the videolog: the site's file, or those of the generated site."""
-    if SITES[wildcards.site].site.poles.cameras == "sample":
-        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
-    return beside_site("poles.cameras")(wildcards)
 
 
 def known_lens(site):
