@@ -147,6 +147,16 @@ def wildcard(name):
     return lambda wildcards: wildcards[name]
 
 
+def value_at(wildcards, value):
+    """A value, or what a function of wildcards gives."""
+    return value(wildcards) if callable(value) else value
+
+
+def of_site(function):
+    """A function of a site for a rule: of its wildcards."""
+    return lambda wildcards: function(wildcards.site)
+
+
 def setting(path):
     """Value of a setting at the wildcards' site."""
     return lambda wildcards: SITES[wildcards.site].setting(path)
@@ -341,12 +351,9 @@ def where(holds):
     They are given as an input function, as a path or as a list of paths.
     """
 
-    def limited(inputs):
-        return lambda wildcards: (
-            (inputs(wildcards) if callable(inputs) else inputs) if holds(wildcards) else []
-        )
-
-    return limited
+    return lambda inputs: (
+        lambda wildcards: value_at(wildcards, inputs) if holds(wildcards) else []
+    )
 
 
 placement_only = where(lambda wildcards: wants(wildcards.site, "placement"))

@@ -49,7 +49,7 @@ use rule step as summarise_site with:
             site=wildcard("site"),
             seed=setting("seed"),
             settings=lambda wildcards: SITES[wildcards.site].settings.model_dump_json(),
-            sensors=site_sensors_json,
+            sensors=lambda wildcards: json.dumps(site_sensors(wildcards), sort_keys=True),
         ),
 
 
@@ -80,7 +80,9 @@ use rule step as write_site_page with:
         settings=told(
             site=wildcard("site"),
             title=site_field("title"),
-            plans=plan_titles,
+            plans=lambda wildcards: [
+                f"{n}={p.title}" for n, p in plans_of(wildcards.site).items()
+            ],
             sensors=CONFIG.sensors_file,
         ),
         sensors=site_sensors,

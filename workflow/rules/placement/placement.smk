@@ -64,7 +64,7 @@ use rule step as render_depth_maps with:
         targets=rules.place_targets.output.out,
         traffic=traffic_mask,
         network=depth_network,
-        tilts=only_if("mount_tilt", tilts_of_map),
+        tilts=only_if("mount_tilt", of_map(TILTS_OF_ROUND, [])),
         decided=after_profile("hole_filling", "curvature_refraction"),
         code=sources_with("render_depth_maps", setting("lidar.engine")),
     output:
@@ -74,19 +74,19 @@ use rule step as render_depth_maps with:
     params:
         settings=told(
             flags("lidar", CellFilling),
-            panorama_flag,
+            of_map("", "--panorama"),
             shard=wildcard("shard"),
-            shards=shard_count,
+            shards=lambda wildcards: shards_in(wildcards.site, int(wildcards.round)),
             sensor=wildcard("sensor"),
             sensors=CONFIG.sensors_file,
             model=lidar_model,
             engine=setting("lidar.engine"),
-            azimuth_stride=stride_of_map,
+            azimuth_stride=of_map(setting("lidar.azimuth_stride"), 1),
             room_m=target_room,
             kept="results/{site}/placement/kept/round-{round}/depth/{sensor}/{shard}.parquet",
             curvature=decision_on("curvature_refraction"),
         ),
-        sensor=sensor_of_map,
+        sensor=of_map(sensor_definition, wildcard("sensor")),
 
 
 use rule step as build_detection_shard with:
@@ -108,7 +108,7 @@ use rule step as build_detection_shard with:
             sensors=CONFIG.sensors_file,
             radius_m=setting("targets.radius_m"),
             height_m=target_height,
-            min_beams=least_beams,
+            min_beams=of_site(min_beams_of),
             azimuth_stride=setting("lidar.azimuth_stride"),
             partial_hits=decision_on("partial_hits"),
             curvature=decision_on("curvature_refraction"),
@@ -120,7 +120,7 @@ use rule step as build_detection_shard with:
 use rule step as check_coverage with:
     input:
         targets=rules.place_targets.output.out,
-        candidates=candidates_up_to_round,
+        candidates=lambda wildcards: candidates_in(wildcards.site, range(int(wildcards.round) + 1)),
         detections=detections_up_to_round,
         frame=rules.ingest_cloud.output.frame,
         zones_files=in_last_round(beside_site("placement.zones")),
@@ -140,7 +140,7 @@ use rule step as densify_candidates with:
     input:
         coverage=coverage_of_previous_round,
         targets=rules.place_targets.output.out,
-        candidates=candidates_of_previous_rounds,
+        candidates=lambda wildcards: candidates_in(wildcards.site, range(int(wildcards.round))),
         edges=rules.build_edges.output.out,
         pavement=rules.extract_pavement.output.pavement,
         dem=rules.build_dem.output.dem,
@@ -207,7 +207,7 @@ use rule step as measure_reflectivity with:
     params:
         settings=told(
             sensors=CONFIG.sensors_file,
-            names=sensor_names,
+            names=of_site(sensors_of),
             target_reflectivity=setting("conditions.target_reflectivity"),
         ),
         definitions=site_sensors_seeing,

@@ -14,6 +14,10 @@ def plans_of(site):
     return SITES[site].plans
 
 
+def plan_of(wildcards):
+    return plans_of(wildcards.site)[wildcards.plan]
+
+
 def sensors_of(site):
     """Sensors of all the site's plans, without repeats, in order of first use."""
     return list(dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors))
@@ -21,8 +25,7 @@ def sensors_of(site):
 
 def mounting_rules(wildcards):
     """Rules of mounting as JSON."""
-    rules = SITES[wildcards.site].settings.mounting
-    return rules.model_dump_json()
+    return SITES[wildcards.site].settings.mounting.model_dump_json()
 
 
 def in_last_round(value, otherwise=()):
@@ -63,33 +66,18 @@ def shards_in(site, round_number):
     return settings.shards if round_number == 0 else settings.coverage.shards
 
 
-def shard_count(wildcards):
-    return shards_in(wildcards.site, int(wildcards.round))
-
-
 def candidates_in(site, rounds):
     return [f"results/{site}/placement/round-{number}/candidates.parquet" for number in rounds]
 
 
 def detections_in(site, rounds, sensors):
     return [
-        f"results/{site}/placement/round-{number}/{detections_folder(site, sensor)}/{shard}.parquet"
+        f"results/{site}/placement/round-{number}/{kind}/{sensor}/{shard}.parquet"
         for number in rounds
         for sensor in sensors
+        for kind in ["poses" if is_posed(site, sensor) else "detection"]
         for shard in range(shards_in(site, number))
     ]
-
-
-def detections_folder(site, sensor):
-    return f"poses/{sensor}" if is_posed(site, sensor) else f"detection/{sensor}"
-
-
-def candidates_up_to_round(wildcards):
-    return candidates_in(wildcards.site, range(int(wildcards.round) + 1))
-
-
-def candidates_of_previous_rounds(wildcards):
-    return candidates_in(wildcards.site, range(int(wildcards.round)))
 
 
 def coverage_of_previous_round(wildcards):
@@ -101,8 +89,8 @@ def detections_up_to_round(wildcards):
     return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
 
 
-def all_candidates(wildcards):
-    return candidates_in(wildcards.site, rounds_of(wildcards.site))
+all_candidates = of_site(lambda site: candidates_in(site, rounds_of(site)))
+all_detections = of_site(lambda site: detections_in(site, rounds_of(site), sensors_of(site)))
 
 
 def last_coverage(wildcards):
@@ -111,16 +99,14 @@ def last_coverage(wildcards):
 
 
 def plan_detections(wildcards):
-    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
-    return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
+    return detections_in(wildcards.site, rounds_of(wildcards.site), plan_of(wildcards).sensors)
 
 
 def plan_depth_maps(wildcards):
     """Depth maps of all rounds by which the plan's sensors are judged."""
     site = wildcards.site
     maps = [
-        panorama_of(site) if is_posed(site, name) else name
-        for name in plans_of(site)[wildcards.plan].sensors
+        panorama_of(site) if is_posed(site, name) else name for name in plan_of(wildcards).sensors
     ]
     return [
         f"results/{site}/placement/round-{number}/depth/{name}/{shard}.parquet"
@@ -132,30 +118,21 @@ def plan_depth_maps(wildcards):
 
 def plan_costs(wildcards):
     """``name=cost`` of each sensor of the plan."""
-    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
-    return [f"{name}={SENSORS[name].cost!r}" for name in sensors]
-
-
-def plan_options(wildcards):
-    """Options of the plan as JSON, empty where it has none."""
-    return plans_of(wildcards.site)[wildcards.plan].options()
+    return [f"{name}={SENSORS[name].cost!r}" for name in plan_of(wildcards).sensors]
 
 
 def plan_file(option):
     """File that an option of the plan names, as a list of inputs."""
 
-    def files(wildcards):
-        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
-        return [] if found is None else with_companions(found)
-
-    return files
+    layered = layered_plan_file(option)
+    return lambda wildcards: [file for path in layered(wildcards) for file in with_companions(path)]
 
 
 def layered_plan_file(option):
     """The same as an argument: with the layer that the plan names."""
 
     def files(wildcards):
-        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
+        found = plan_of(wildcards).file_of(option)
         return [] if found is None else [found]
 
     return files
@@ -190,15 +167,6 @@ def placement_doubts(wildcards):
     return [f"{folder}/place_targets.json", *plans]
 
 
-def plan_titles(wildcards):
-    return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
-
-
-def all_detections(wildcards):
-    site = wildcards.site
-    return detections_in(site, rounds_of(site), sensors_of(site))
-
-
 def traffic_mask(wildcards):
     """Points of passing vehicles, where the site asks to clear them."""
     clear = SITES[wildcards.site].setting("lidar.clear_below_m") > 0
@@ -215,18 +183,9 @@ def site_sensors_seeing(wildcards):
     return {name: what_it_sees(SENSORS[name]) for name in sensors_of(wildcards.site)}
 
 
-def site_sensors_json(wildcards):
-    """Definitions of the site's sensors as JSON, for the record."""
-    return json.dumps(site_sensors(wildcards), sort_keys=True)
-
-
 def optical_names(wildcards):
     """The site's LiDARs and cameras, which weather blinds."""
     return [name for name in sensors_of(wildcards.site) if kind_of(name) != "radar"]
-
-
-def sensor_names(wildcards):
-    return sensors_of(wildcards.site)
 
 
 def sensor_wavelengths(wildcards):
@@ -259,7 +218,7 @@ def depth_network(wildcards):
 
 def tilts_of_all_rounds(wildcards):
     return [
-        f"results/{wildcards.site}/placement/round-{number}/tilts.parquet"
+        TILTS_OF_ROUND.format(site=wildcards.site, round=number)
         for number in rounds_of(wildcards.site)
     ]
 
@@ -271,15 +230,11 @@ def placement_effect(effect, file):
 
 def plan_availability(wildcards):
     """Option of a plan whose sensors together must see targets so often."""
-    level = plans_of(wildcards.site)[wildcards.plan].availability
+    level = plan_of(wildcards).availability
     return "" if level is None else f"--availability {level!r}"
 
 
-def lanes_of_plan(wildcards):
-    """Lanes and their traffic, where the plan asks for a probability past it."""
-    if plans_of(wildcards.site)[wildcards.plan].availability is None:
-        return []
-    return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)
+past_traffic = where(lambda wildcards: plan_of(wildcards).availability is not None)
 
 
 def seen_surfels(wildcards):
@@ -299,7 +254,7 @@ def seen_surfels(wildcards):
 
 def is_robust(wildcards):
     """Whether the cover of a plan is to hold with tolerance."""
-    return plans_of(wildcards.site)[wildcards.plan].robust is not None
+    return plan_of(wildcards).robust is not None
 
 
 if_robust = where(is_robust)
@@ -353,18 +308,11 @@ def change_arguments(wildcards):
     )
 
 
-def engine_of_cover(wildcards):
-    """Who sends rays for a cover that holds with tolerance; nobody for others."""
-    return setting("lidar.engine")(wildcards) if is_robust(wildcards) else ""
-
-
 def robust_arguments(wildcards):
     """Arguments of a cover that holds with tolerance; nothing for others."""
     if not is_robust(wildcards):
         return ""
-    posed = [
-        s for s in plans_of(wildcards.site)[wildcards.plan].sensors if is_posed(wildcards.site, s)
-    ]
+    posed = [s for s in plan_of(wildcards).sensors if is_posed(wildcards.site, s)]
     if posed:
         refuse(
             "robust: tolerance is for spinning LiDARs as mounted",
@@ -418,10 +366,6 @@ def min_pixels_of(site):
     return Curve(*targets.camera_curve).needed(targets.min_probability)
 
 
-def least_beams(wildcards):
-    return min_beams_of(wildcards.site)
-
-
 def edges_of_targets(wildcards):
     """Edges along which targets stand, where they are boxes, or that bound the road."""
     site = SITES[wildcards.site].site
@@ -433,8 +377,7 @@ def target_width(wildcards):
     """Width of a target, whatever its kind: the lesser side of a box."""
     box = box_of(wildcards.site)
     targets = SITES[wildcards.site].settings.targets
-    width_m = 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
-    return width_m
+    return 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
 
 
 def kind_of(sensor):
@@ -475,31 +418,19 @@ def criteria_of_sensor(wildcards):
     """When the rule's sensor sees a target: what its kind asks, and nothing else."""
     kind = kind_of(wildcards.sensor)
     if kind == "radar":
-        asked = f"--rcs-m2 {setting('targets.rcs_m2')(wildcards)}"
-    elif kind == "camera":
+        return f"--rcs-m2 {setting('targets.rcs_m2')(wildcards)}"
+    if kind == "camera":
         pixels = min_pixels_of(wildcards.site)
-        asked = "" if pixels is None else f"--min-pixels {pixels}"
-    else:
-        asked = f"--min-beams {min_beams_of(wildcards.site)}"
-    return asked
+        return "" if pixels is None else f"--min-pixels {pixels}"
+    return f"--min-beams {min_beams_of(wildcards.site)}"
 
 
-def sensor_of_map(wildcards):
-    """Definition of the sensor of a depth map; a panorama's name says all about it."""
-    return sensor_definition(wildcards) if wildcards.sensor in SENSORS else wildcards.sensor
+def of_map(of_sensor, of_panorama):
+    """What a depth map has: a sensor's and a panorama's, each a value or a function of wildcards.
 
-
-def stride_of_map(wildcards):
-    """Panoramas are never thinned."""
-    stride = setting("lidar.azimuth_stride")(wildcards)
-    return stride if wildcards.sensor in SENSORS else 1
-
-
-def tilts_of_map(wildcards):
-    """Panoramas are levelled, however the mount leans."""
-    return TILTS_OF_ROUND if wildcards.sensor in SENSORS else []
-
-
-def panorama_flag(wildcards):
-    """Said of a map that no sensor's own candidates limit."""
-    return "" if wildcards.sensor in SENSORS else "--panorama"
+    A panorama's name says all about it, no sensor's candidates limit it, it is never thinned, and
+    levelled however the mount leans.
+    """
+    return lambda wildcards: value_at(
+        wildcards, of_sensor if wildcards.sensor in SENSORS else of_panorama
+    )

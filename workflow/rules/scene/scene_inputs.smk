@@ -115,9 +115,7 @@ def only_if(effect, inputs):
 
     def needed(wildcards):
         await_profile(effect, wildcards)
-        if decided(effect, wildcards) == "skip":
-            return []
-        return inputs(wildcards) if callable(inputs) else inputs
+        return [] if decided(effect, wildcards) == "skip" else value_at(wildcards, inputs)
 
     return needed
 
