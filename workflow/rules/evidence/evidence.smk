@@ -4,10 +4,10 @@
 # What accuracy costs in time: the sweeps of config/tradeoffs.yaml through the rules themselves.
 use rule step as measure_tradeoff with:
     input:
-        base_files=base_of_study,
+        base_files=at_base(base_at),
         code=sources_with(
             "measure_tradeoff",
-            lambda wildcards: STUDIES[wildcards.study].levels[level_name(wildcards)],
+            lambda wildcards: study_of(wildcards).levels[level_name(wildcards)],
         ),
     output:
         out="results/tradeoffs/levels/{study}-{level}.json",
@@ -18,20 +18,22 @@ use rule step as measure_tradeoff with:
     params:
         command=command_with("cores"),
         settings=told(
-            site=site_of_study,
-            config=lambda wildcards: config_of_study(wildcards),
-            changes=lambda wildcards: json.dumps(changes_of_level(wildcards)),
-            plan=plan_of_level,
-            metrics=lambda wildcards: STUDIES[wildcards.study].metrics,
-            stages=lambda wildcards: STUDIES[wildcards.study].stages,
-            repeats=lambda wildcards: STUDIES[wildcards.study].repeats,
+            site=at_base(site_named),
+            config=at_base(config_of_site),
+            changes=lambda wildcards: json.dumps(
+                clearly(study_of(wildcards).changes, level_name(wildcards))
+            ),
+            plan=lambda wildcards: study_of(wildcards).plan(level_name(wildcards)),
+            metrics=lambda wildcards: study_of(wildcards).metrics,
+            stages=lambda wildcards: study_of(wildcards).stages,
+            repeats=lambda wildcards: study_of(wildcards).repeats,
             work="results/tradeoffs/variants/{study}-{level}",
         ),
 
 
 use rule step as measure_base with:
     input:
-        base_files=lambda wildcards: base_at(TRADEOFFS.sites[wildcards.job]),
+        base_files=at_base(base_at),
     output:
         out="results/tradeoffs/base/{job}.json",
     log:
@@ -41,9 +43,9 @@ use rule step as measure_base with:
     params:
         command=command_with("cores"),
         settings=told(
-            site=lambda wildcards: site_of_job(wildcards.job),
-            config=lambda wildcards: config_of_site(TRADEOFFS.sites[wildcards.job]),
-            targets=lambda wildcards: targets_at(TRADEOFFS.sites[wildcards.job]),
+            site=at_base(site_named),
+            config=at_base(config_of_site),
+            targets=at_base(targets_at),
             work="results/tradeoffs/variants/base-{job}",
         ),
 
@@ -58,8 +60,15 @@ use rule step as measure_precision with:
 
 use rule step as write_tradeoffs with:
     input:
-        levels=measured_levels(),
-        base=base_costs(),
+        levels=[
+            f"results/tradeoffs/levels/{name}-{level}.json"
+            for name, study in STUDIES.items()
+            for level in range(len(study.levels))
+        ],
+        base=[
+            f"results/tradeoffs/base/{job}.json"
+            for job in dict.fromkeys(study.job for study in STUDIES.values())
+        ],
         precision=rules.measure_precision.output.out,
         studies=CONFIG.tradeoffs_file,
         assets=REPORT_ASSETS,
@@ -68,7 +77,7 @@ use rule step as write_tradeoffs with:
         table="results/tradeoffs/tradeoffs.md",
         page="results/tradeoffs/index.html",
     params:
-        settings=told(length_km=measured_length_km()),
+        settings=told(length_km=SITES[site_of_job("poles")].site.sample.length_m / 1000),
 
 
 # Where naive ways fail: the catalogue of hard cases, run both ways.
@@ -151,8 +160,8 @@ use rule step as measure_paper with:
     params:
         command=command_with("cores"),
         settings=told(
-            site=lambda wildcards: site_of_paper(wildcards),
-            config=lambda wildcards: config_of_paper(wildcards),
+            site=site_of_paper,
+            config=config_of_paper,
             changes=lambda wildcards: json.dumps(changes_of_paper(wildcards)),
             plans=lambda wildcards: run_of_paper(wildcards).plans,
             targets=lambda wildcards: run_of_paper(wildcards).targets,

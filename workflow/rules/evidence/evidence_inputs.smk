@@ -1,7 +1,7 @@
 """Helpers of the evidence rules: studies, audits, and the sites that they start from."""
 
-from roadsight.evidence.metrics import METRICS
 from roadsight.evidence import paper
+from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import load_overrides
 
 STUDIES = TRADEOFFS.studies
@@ -11,6 +11,8 @@ wildcard_constraints:
     study="|".join(map(re.escape, STUDIES)),
     level=r"\d+",
     job="placement|poles",
+    size="short|long",
+    run=r"[a-z0-9_]+-[a-z0-9_]+",
 
 
 def told_doubts(wildcards):
@@ -18,7 +20,8 @@ def told_doubts(wildcards):
     given = given_lists(wildcards)
     matched = [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
     told = [rules.build_dem.output.doubts]
-    if has_scene_page(wildcards.site) or pavement_for_poles(wildcards.site):
+    pavement_for_poles = wants(wildcards.site, "poles") and not has_classes(wildcards)
+    if has_scene_page(wildcards.site) or pavement_for_poles:
         told.append(rules.extract_pavement.output.doubts)
     if wants(wildcards.site, "poles"):
         told += [rules.profile_drive.output.doubts]
@@ -26,11 +29,6 @@ def told_doubts(wildcards):
         told += [rules.calibrate_drive.output.doubts] if calibration_if_aligned(wildcards) else []
     scene = [file.format(site=wildcards.site) for file in told]
     return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
-
-
-def pavement_for_poles(site):
-    """Whether the poles of a site take the pavement for the road."""
-    return wants(site, "poles") and SITES[site].site.poles.road != "classes"
 
 
 def given_lists(wildcards):
@@ -59,7 +57,12 @@ def given_lists(wildcards):
             add_named("places", what, path, crs)
     if wants(wildcards.site, "placement"):
         for plan in plans_of(wildcards.site).values():
-            for option, what in PLAN_LISTS.items():
+            for option, what in (
+                ("areas", "areas"),
+                ("forbidden", "forbidden places"),
+                ("mandatory", "mandatory places"),
+                ("poles", "poles of the plan"),
+            ):
                 features = getattr(plan, option)
                 if features is not None:
                     add("places", what, features.file, features.crs)
@@ -78,18 +81,6 @@ def given_lists(wildcards):
         for path in named_folders(resolved, "depth"):
             add("folder", "depth images", path)
     return list({(one["kind"], one["path"]): one for one in found}.values())
-
-
-PLAN_LISTS = {
-    "areas": "areas",
-    "forbidden": "forbidden places",
-    "mandatory": "mandatory places",
-    "poles": "poles of the plan",
-}
-
-
-def lists_json(wildcards):
-    return json.dumps(given_lists(wildcards))
 
 
 def listed_files(wildcards):
@@ -116,18 +107,12 @@ def frames_of_lists(wildcards):
     return [pole_frames(wildcards)]
 
 
+def study_of(wildcards):
+    return STUDIES[wildcards.study]
+
+
 def level_name(wildcards):
-    return list(STUDIES[wildcards.study].levels)[int(wildcards.level)]
-
-
-def changes_of_level(wildcards):
-    study = STUDIES[wildcards.study]
-    return clearly(study.changes, level_name(wildcards))
-
-
-def plan_of_level(wildcards):
-    """Plan of a level; empty: the site's first."""
-    return STUDIES[wildcards.study].plan(level_name(wildcards))
+    return list(study_of(wildcards).levels)[int(wildcards.level)]
 
 
 @lru_cache(maxsize=None)
@@ -141,12 +126,13 @@ def site_of_job(job):
     return site_named(TRADEOFFS.sites[job])
 
 
-def site_of_study(wildcards):
-    return site_named(TRADEOFFS.site_of(STUDIES[wildcards.study]))
-
-
-def config_of_study(wildcards):
-    return config_of_site(TRADEOFFS.site_of(STUDIES[wildcards.study]))
+def at_base(function):
+    """A function of a site file for a rule: of the one that a study, or a job's, starts from."""
+    return lambda wildcards: function(
+        TRADEOFFS.site_of(study_of(wildcards))
+        if "study" in wildcards.keys()
+        else TRADEOFFS.sites[wildcards.job]
+    )
 
 
 def config_of_site(site):
@@ -174,32 +160,6 @@ def base_at(file):
     return [f"results/{site_named(file)}/{target}" for target in targets_at(file)]
 
 
-def base_of_study(wildcards):
-    return base_at(TRADEOFFS.site_of(STUDIES[wildcards.study]))
-
-
-def measured_jobs():
-    """Jobs that have studies."""
-    return list(dict.fromkeys(study.job for study in STUDIES.values()))
-
-
-def base_costs():
-    return [f"results/tradeoffs/base/{job}.json" for job in measured_jobs()]
-
-
-def measured_levels():
-    return [
-        f"results/tradeoffs/levels/{name}-{level}.json"
-        for name, study in STUDIES.items()
-        for level in range(len(study.levels))
-    ]
-
-
-def measured_length_km():
-    """Length of the road of the pole job's site."""
-    return SITES[site_of_job("poles")].site.sample.length_m / 1000
-
-
 def audited_sites(job):
     """Sites that ask for an audit of a job."""
     return [
@@ -224,11 +184,6 @@ def effects_of_one_way(wildcards):
 
 def audited_plan(wildcards):
     return next(iter(plans_of(wildcards.site)))
-
-
-wildcard_constraints:
-    size="short|long",
-    run=r"[a-z0-9_]+-[a-z0-9_]+",
 
 
 def run_of_paper(wildcards):

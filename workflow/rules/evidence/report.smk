@@ -13,7 +13,7 @@ use rule step as match_inputs with:
             views=lambda wildcards: (
                 used_views(wildcards) if frames_of_lists(wildcards) else ["front"]
             ),
-            lists=lists_json,
+            lists=lambda wildcards: json.dumps(given_lists(wildcards)),
         ),
         images_sha256=listed_images,
 
