@@ -26,7 +26,7 @@ def told_doubts(wildcards):
     if wants(wildcards.site, "poles"):
         told += [rules.profile_drive.output.doubts]
         told += [rules.triangulate_poles.output.doubts, rules.rate_hazard.output.doubts]
-        told += [rules.calibrate_drive.output.doubts] if calibration_if_aligned(wildcards) else []
+        told += [rules.calibrate_drive.output.doubts] if aligns(wildcards) else []
     scene = [file.format(site=wildcards.site) for file in told]
     return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
 
@@ -104,7 +104,7 @@ def frames_of_lists(wildcards):
     if all(one["kind"] in ("places", "picture") for one in lists):
         return []
     await_profile("side_views", wildcards)
-    return [pole_frames(wildcards)]
+    return [f"results/{wildcards.site}/poles/frames.parquet"]
 
 
 def study_of(wildcards):

@@ -166,7 +166,13 @@ use rule step as write_poles_page with:
         poles=rules.triangulate_poles.output.poles,
         hazard=rules.rate_hazard.output.out,
         sections=rules.rate_hazard.output.sections,
-        files=pole_files,
+        files=[
+            *expand(
+                "results/{{site}}/poles/poles.{kind}", kind=["parquet", "gpkg", "csv", "geojson"]
+            ),
+            "results/{site}/poles/hazard.csv",
+            "results/{site}/poles/road_geometry.csv",
+        ],
         validation=pole_validation,
         components=compared_components,
         drive=only_if("lens_distortion", rules.profile_drive.output.out),

@@ -144,7 +144,7 @@ use rule step as turn_side_views with:
 use rule step as measure_poles with:
     input:
         frames=rules.read_videolog.output.out,
-        calibration=calibration_if_aligned,
+        calibration=if_aligned([rules.calibrate_drive.output.out]),
         turns=side_turns_if_used,
         cameras=cameras_of_shard,
         masks=without_distortion("masks"),
@@ -233,7 +233,7 @@ use rule step as validate_poles with:
         poles=rules.triangulate_poles.output.poles,
         placed=rules.triangulate_poles.output.layers,
         truth_files=known_poles,
-        roadside=known_roadside,
+        roadside=if_rendered(["results/{site}/sample/truth.gpkg"]),
         frame=rules.ingest_cloud.output.frame,
         frames=rules.read_videolog.output.out,
         edges=rules.extract_road_edges.output.edges,

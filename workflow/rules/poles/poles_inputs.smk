@@ -26,6 +26,36 @@ all_seen = pole_shards("seen", "parquet")
 all_markings = pole_shards("markings", "parquet")
 
 
+def distorts(wildcards):
+    """Whether the lenses of a site distort its views."""
+    await_profile("lens_distortion", wildcards)
+    return decided("lens_distortion", wildcards) == "simulate"
+
+
+def straight(kind, wildcards):
+    """Folder of masks or depth: of straightened ones where the lenses distort."""
+    return f"straight/{kind}" if distorts(wildcards) else kind
+
+
+def without_distortion(kind):
+    """Masks or depth of a shard."""
+    return lambda wildcards: (
+        f"results/{wildcards.site}/poles/{straight(kind, wildcards)}/{wildcards.shard}.zip"
+    )
+
+
+def all_masks(wildcards):
+    return pole_shards(straight("masks", wildcards), "zip")(wildcards)
+
+
+def all_depths(wildcards):
+    return pole_shards(straight("depth", wildcards), "zip")(wildcards)
+
+
+# Profile of the drive with its lenses, where they distort.
+distorting_drive = where(distorts)("results/{site}/poles/drive.json")
+
+
 def has_classes(wildcards):
     """Whether the cloud has classes of road and ground; without, the pavement stands for them."""
     return SITES[wildcards.site].site.poles.road == "classes"
@@ -53,56 +83,24 @@ def if_objects(wildcards):
     return not {"tree", "guardrail", "building", "headwall"}.isdisjoint(kinds)
 
 
-def pole_frames(wildcards):
-    return f"results/{wildcards.site}/poles/frames.parquet"
-
-
 known_poles = sample_or_beside("truth.poles", "truth_poles.csv")
 known_cameras = sample_or_beside("truth.cameras", "truth_cameras.csv")
 cameras_of_videolog = sample_or_beside("poles.cameras", "truth_cameras.csv", where_stated=True)
 
 
-def known_roadside(wildcards):
-    """Known trees, guardrails and driveways of a generated site."""
-    known = is_rendered(wildcards)
-    return [f"results/{wildcards.site}/sample/truth.gpkg"] if known else []
-
-
 def known_pole_kind(wildcards):
     """Which of the known posts are poles."""
-    if is_rendered(wildcards):
-        return "utility"
-    return SITES[wildcards.site].site.truth.poles_kind or ""
+    return "utility" if is_rendered(wildcards) else site_field("truth.poles_kind")(wildcards)
 
 
-def camera_scores(wildcards):
-    scored = wants(wildcards.site, "poles") and known_cameras(wildcards)
-    return [f"results/{wildcards.site}/poles/camera_scores.json"] if scored else []
-
-
-def pole_validation(wildcards):
-    scored = wants(wildcards.site, "poles") and known_poles(wildcards)
-    return [f"results/{wildcards.site}/poles/validation.json"] if scored else []
-
-
-def compared_components(wildcards):
-    """What each component is worth, where a site asks for it and its poles are known."""
-    asked = SITES[wildcards.site].setting("validation.components") == "compare"
-    known = asked and pole_validation(wildcards)
-    return [f"results/{wildcards.site}/poles/components.json"] if known else []
-
-
-def pole_files(wildcards):
-    """Files of the poles that the report names."""
-    names = (
-        "poles.parquet",
-        "poles.gpkg",
-        "poles.csv",
-        "poles.geojson",
-        "hazard.csv",
-        "road_geometry.csv",
+camera_scores = poles_only(where(known_cameras)(["results/{site}/poles/camera_scores.json"]))
+pole_validation = poles_only(where(known_poles)(["results/{site}/poles/validation.json"]))
+compared_components = where(
+    lambda wildcards: (
+        setting("validation.components")(wildcards) == "compare" and pole_validation(wildcards)
     )
-    return [f"results/{wildcards.site}/poles/{name}" for name in names]
+)(["results/{site}/poles/components.json"])
+if_rendered = where(lambda wildcards: is_rendered(wildcards))
 
 
 def aligns(wildcards):
@@ -148,10 +146,8 @@ def cameras_of_shard(wildcards):
     return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.parquet"
 
 
-def calibration_if_aligned(wildcards):
-    """The drives' calibration, which given cameras do not need."""
-    found = f"results/{wildcards.site}/poles/calibration.json"
-    return [found] if aligns(wildcards) else []
+# Given cameras need no calibration of the drives.
+if_aligned = where(aligns)
 
 
 def side_turns_if_used(wildcards):
