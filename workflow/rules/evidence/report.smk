@@ -34,11 +34,11 @@ use rule step as summarise_site with:
         camera_scores=camera_scores,
         coverage=placement_only(last_coverage),
         pavement=scene_page_only([rules.extract_pavement.output.points]),
-        solutions=placement_only(plan_solutions),
-        timings=placement_only(plan_timings),
-        data=placement_only(plan_data),
-        tolerances=placement_only(plan_tolerances),
-        removals=placement_only(plan_removals),
+        solutions=placement_only(per_plan("solution.json")),
+        timings=placement_only(per_plan("timing.json")),
+        data=placement_only(per_plan("data.json")),
+        tolerances=placement_only(per_plan("tolerance.json")),
+        removals=placement_only(per_plan("removals.json")),
         doubts=told_doubts,
     output:
         out="results/{site}/summary.json",
@@ -67,11 +67,11 @@ use rule step as write_site_page with:
         candidates=placement_only(all_candidates),
         detections=placement_only(all_detections),
         coverage=placement_only(last_coverage),
-        solutions=placement_only(plan_solutions),
-        layers=placement_only(plan_layers),
-        tolerances=placement_only(plan_tolerance_layers),
-        obstacles=placement_only(plan_obstacles),
-        scans=placement_only(plan_scans),
+        solutions=placement_only(per_plan("solution.json")),
+        layers=placement_only(per_plan("solution.gpkg")),
+        tolerances=placement_only(per_plan("tolerance.gpkg")),
+        obstacles=placement_only(per_plan("obstacles.gpkg")),
+        scans=placement_only(per_plan("scans.laz")),
     output:
         out="results/{site}/page.json",
     resources:
@@ -122,9 +122,9 @@ use rule step as write_handover with:
         pavement=scene_page_only([rules.extract_pavement.output.pavement]),
         edges=scene_page_only([rules.build_edges.output.out]),
         unexamined=placement_only(rules.place_targets.output.unexamined),
-        solutions=placement_only(plan_solutions),
-        plan_layers=placement_only(plan_layers),
-        obstacles=placement_only(plan_obstacles),
+        solutions=placement_only(per_plan("solution.json")),
+        plan_layers=placement_only(per_plan("solution.gpkg")),
+        obstacles=placement_only(per_plan("obstacles.gpkg")),
         poles=poles_only([rules.rate_hazard.output.layers]),
         road_edges=poles_only([rules.extract_road_edges.output.lines]),
     output:
@@ -144,7 +144,7 @@ use rule step as write_stakeout with:
     input:
         frame=rules.ingest_cloud.output.frame,
         edges=rules.build_edges.output.out,
-        solutions=plan_solutions,
+        solutions=per_plan("solution.json"),
     output:
         out="results/{site}/stakeout.csv",
 

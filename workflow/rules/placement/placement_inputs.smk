@@ -149,17 +149,6 @@ def per_plan(file):
     ]
 
 
-plan_solutions = per_plan("solution.json")
-plan_layers = per_plan("solution.gpkg")
-plan_timings = per_plan("timing.json")
-plan_data = per_plan("data.json")
-plan_tolerances = per_plan("tolerance.json")
-plan_tolerance_layers = per_plan("tolerance.gpkg")
-plan_removals = per_plan("removals.json")
-plan_obstacles = per_plan("obstacles.gpkg")
-plan_scans = per_plan("scans.laz")
-
-
 def placement_doubts(wildcards):
     """Files in which the placement stages tell what their answers rest on."""
     folder = f"results/{wildcards.site}/doubts"

@@ -17,38 +17,40 @@ use rule step as find_pole_columns with:
         settings=told("columns"),
 
 
-use rule step as find_roadside_objects with:
-    input:
-        cloud=rules.ingest_cloud.output.cloud,
-        frame=rules.ingest_cloud.output.frame,
-        dem=rules.build_dem.output.dem,
+use rule find_pole_columns as find_roadside_objects with:
     output:
         out="results/{site}/poles/objects.parquet",
-    resources:
-        **holding_cloud(60),
     params:
         settings=told(flags("sightings", "kinds", "building_classes", "headwall_classes")),
 
 
-# Where the camera of every image stood: aligned with the road, or given.
+# Where the camera of every image stood: aligned with the road, or given. What it is aligned with is
+# the road and poles, in images and in the cloud, and all that photographs and the cloud share.
+ROAD_AND_POLES = dict(
+    frames=rules.read_videolog.output.out,
+    image_edges=all_image_edges,
+    road_edges=rules.extract_road_edges.output.edges,
+    frame=rules.ingest_cloud.output.frame,
+    dem=rules.build_dem.output.dem,
+    terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+    decided=after_profile("sight_curvature"),
+    pole_axes=if_landmarks(all_pole_axes),
+    columns=if_landmarks([rules.find_pole_columns.output.out]),
+)
+PHOTOGRAPHS = dict(
+    cloud=if_dense([rules.ingest_cloud.output.cloud]),
+    photographs_files=if_dense(rendered_images),
+    masks=if_dense(all_masks),
+    drive=if_dense(distorting_drive),
+    intrinsics_files=intrinsics_file,
+)
+
+
 use rule step as calibrate_drive with:
     input:
-        frames=rules.read_videolog.output.out,
-        image_edges=all_image_edges,
-        road_edges=rules.extract_road_edges.output.edges,
-        frame=rules.ingest_cloud.output.frame,
-        dem=rules.build_dem.output.dem,
-        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
-        decided=after_profile("sight_curvature"),
-        pole_axes=if_landmarks(all_pole_axes),
-        columns=if_landmarks([rules.find_pole_columns.output.out]),
-        matches=if_ties(all_matches),
-        baseline=registered_cameras,
-        cloud=if_dense([rules.ingest_cloud.output.cloud]),
-        photographs_files=if_dense(rendered_images),
-        masks=if_dense(all_masks),
-        drive=if_dense(distorting_drive),
-        intrinsics_files=intrinsics_file,
+        **ROAD_AND_POLES,
+        **{"matches": if_ties(all_matches), "baseline": registered_cameras},
+        **PHOTOGRAPHS,
     output:
         out="results/{site}/poles/calibration.json",
         doubts="results/{site}/doubts/calibrate_drive.json",
@@ -68,21 +70,9 @@ use rule step as calibrate_drive with:
 
 use rule step as align_cameras with:
     input:
-        frames=rules.read_videolog.output.out,
-        image_edges=all_image_edges,
-        road_edges=rules.extract_road_edges.output.edges,
-        frame=rules.ingest_cloud.output.frame,
-        dem=rules.build_dem.output.dem,
-        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
-        decided=after_profile("sight_curvature"),
-        pole_axes=if_landmarks(all_pole_axes),
-        columns=if_landmarks([rules.find_pole_columns.output.out]),
-        calibration=rules.calibrate_drive.output.out,
-        cloud=if_dense([rules.ingest_cloud.output.cloud]),
-        photographs_files=if_dense(rendered_images),
-        masks=if_dense(all_masks),
-        drive=if_dense(distorting_drive),
-        intrinsics_files=intrinsics_file,
+        **ROAD_AND_POLES,
+        **{"calibration": rules.calibrate_drive.output.out},
+        **PHOTOGRAPHS,
     output:
         out=non_empty("results/{site}/poles/cameras/{shard}.parquet"),
     resources:

@@ -278,4 +278,6 @@ use rule step as plan_effects with:
     output:
         out="results/{site}/effects.json",
     params:
-        settings=told(circumstances=circumstances_json),
+        settings=told(
+            circumstances=of_site(lambda site: json.dumps(circumstances(site), sort_keys=True))
+        ),

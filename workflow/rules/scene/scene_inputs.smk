@@ -2,17 +2,12 @@
 
 from roadsight.effects.catalogue import load_catalogue, plan
 from roadsight.effects.quantities import SETTINGS, Circumstances
-from roadsight.io.records.atomic import read_json
 from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.images.videolog_files import posed_share
+from roadsight.io.records.atomic import read_json
 from roadsight.placement.sensors.sensors import define_sensor
+from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, MOST_SHARPENED, choose_method
 from snakemake.exceptions import IncompleteCheckpointException
-from roadsight.scene.pavement.choice import (
-    FINEST_M,
-    MOST_CELLS,
-    MOST_SHARPENED,
-    choose_method,
-)
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
 
@@ -62,10 +57,6 @@ def posed_share_of(resolved):
     images = resolved.beside(poles.images)
     table = resolved.beside(poles.videolog) or images
     return clearly(posed_share, table, images, resolved.beside(poles.cameras))
-
-
-def circumstances_json(wildcards):
-    return json.dumps(circumstances(wildcards.site), sort_keys=True)
 
 
 @lru_cache(maxsize=None)
@@ -185,14 +176,9 @@ def decision_on(effect):
     return decision
 
 
-def pavement_is_given(wildcards):
-    """Whether the user gives the monitored area, so that nothing is looked for."""
-    return SITES[wildcards.site].site.placement.tma is not None
-
-
 def stated_method(wildcards):
     """How a site's pavement is found where that is known when the rules are read, else auto."""
-    if pavement_is_given(wildcards):
+    if SITES[wildcards.site].site.placement.tma is not None:  # nothing is looked for
         return "user"
     return SITES[wildcards.site].setting("pavement.method")
 

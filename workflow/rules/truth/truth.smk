@@ -1,18 +1,18 @@
 """The product on real data beside a peer: tables and a page."""
 
-for area in AREAS:
+for name, area in AREAS.items():
 
     rule:
         name:
-            f"truth_{area}"
+            f"truth_{name}"
         input:
             files=truth_files(area),
         output:
-            out=f"results/truth/{area}/{{dataset}}.json",
+            out=f"results/truth/{name}/{{dataset}}.json",
         log:
-            f"logs/truth/{area}-{{dataset}}.log",
+            f"logs/truth/{name}-{{dataset}}.log",
         wildcard_constraints:
-            dataset=truth_datasets(area),
+            dataset="|".join(map(re.escape, area.datasets)),
         conda:
             ENVIRONMENT
         resources:
