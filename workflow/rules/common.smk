@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import sys
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -114,9 +114,7 @@ def command(wildcards, input, output, threads, told_threads=""):
 
 def command_with(name):
     """The same for a stage that is told its threads, under this name."""
-    return lambda wildcards, input, output, threads: command(
-        wildcards, input, output, threads, name
-    )
+    return partial(command, told_threads=name)
 
 
 def told(*sections, **values):
@@ -130,17 +128,10 @@ def told(*sections, **values):
     parts = [flags(part) if isinstance(part, str) else part for part in sections]
 
     def options(wildcards):
-        named = {
-            name: value(wildcards) if callable(value) else formatted(value, wildcards)
-            for name, value in values.items()
-        }
+        named = {name: value_at(wildcards, value) for name, value in values.items()}
         return " ".join([*(part(wildcards) for part in parts), as_options(named)])
 
     return options
-
-
-def formatted(value, wildcards):
-    return value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
 
 
 def wildcard(name):
@@ -148,8 +139,10 @@ def wildcard(name):
 
 
 def value_at(wildcards, value):
-    """A value, or what a function of wildcards gives."""
-    return value(wildcards) if callable(value) else value
+    """A value, a path with its wildcards filled in, or what a function of wildcards gives."""
+    if callable(value):
+        return value(wildcards)
+    return value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
 
 
 def of_site(function):
@@ -168,7 +161,6 @@ ONE_SHARD = {"shard": wildcard("shard"), "shards": setting("shards")}
 
 def flags(section, *asked):
     """Options of a section: of all its settings, or of those asked for by name or by a part of it."""
-
     return options_of(setting(section), asked)
 
 
@@ -235,11 +227,8 @@ def sources(stage):
 def sources_with(stage, engine):
     """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
     # Now, and not for the first job that asks: Snakemake lists a folder once.
-    stamp = sources(stage)
-    return lambda wildcards: [
-        stamp,
-        *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
-    ]
+    own, both = [sources(stage)], [sources(stage), OPEN3D_LOCK]
+    return lambda wildcards: both if engine(wildcards) == "open3d" else own
 
 
 def cloud_files(wildcards):
@@ -247,9 +236,9 @@ def cloud_files(wildcards):
     resolved = SITES[wildcards.site]
     if resolved.site.sample:
         return [f"results/{wildcards.site}/sample/cloud.laz"]
-    missing = [file for file in resolved.clouds if not Path(file).is_file()]
-    for file in missing:
-        refuse("no such cloud", where=f"{resolved.file}: clouds", found=file)
+    for file in resolved.clouds:
+        if not Path(file).is_file():
+            refuse("no such cloud", where=f"{resolved.file}: clouds", found=file)
     return ancient(resolved.clouds)
 
 
@@ -337,11 +326,8 @@ def wants(site, job):
 
 def sites_with_scene(scene):
     """Pattern of the sites that generate this scene; one that matches nothing if there are none."""
-    found = [
-        s
-        for s, resolved in SITES.items()
-        if resolved.site.sample and resolved.site.sample.scene == scene
-    ]
+    samples = {name: resolved.site.sample for name, resolved in SITES.items()}
+    found = [name for name, sample in samples.items() if sample and sample.scene == scene]
     return "|".join(map(re.escape, found)) or "(?!)"
 
 
@@ -350,7 +336,6 @@ def where(holds):
 
     They are given as an input function, as a path or as a list of paths.
     """
-
     return lambda inputs: (
         lambda wildcards: value_at(wildcards, inputs) if holds(wildcards) else []
     )
@@ -376,28 +361,21 @@ def asked(results, *jobs):
     ]
 
 
-# Pages of evidence that have targets of their own, by their titles.
-EVIDENCE_PAGES = {
-    "Accuracy and time": "results/tradeoffs/index.html",
-    "Real roads": "results/truth/index.html",
-    "Hard cases": "results/hardcases/index.html",
-    "Effects audited": "results/audit/index.html",
-    "Both studies": "results/paper/short.html",
-    "Benchmarks": "results/bench/index.html",
-}
-
-
 def evidence_pages():
     """``title=path`` of the pages of evidence that there are, relative to the report.
 
     They are parameters of the report and not inputs: a report would otherwise run hours of sweeps
     again whenever a page is older than the code.
     """
-    return [
-        f"{title}={Path(page).relative_to('results')}"
-        for title, page in EVIDENCE_PAGES.items()
-        if Path(page).is_file()
-    ]
+    pages = {
+        "Accuracy and time": "tradeoffs/index.html",
+        "Real roads": "truth/index.html",
+        "Hard cases": "hardcases/index.html",
+        "Effects audited": "audit/index.html",
+        "Both studies": "paper/short.html",
+        "Benchmarks": "bench/index.html",
+    }
+    return [f"{title}={page}" for title, page in pages.items() if Path("results", page).is_file()]
 
 
 def printed_reports():
@@ -419,14 +397,11 @@ def handovers():
 
 def site_extent(wildcards):
     """The site's extent as ``kind=value``; a polygon is given by its file."""
-    resolved = SITES[wildcards.site]
-    extent = resolved.site.extent
+    extent = stated("extent", wildcards)
     if extent is None:
         return ""
     kind, _, value = extent.stated.partition("=")
-    if kind == "polygon":
-        value = resolved.layered(value)
-    return f"{kind}={value}"
+    return f"{kind}={SITES[wildcards.site].layered(value) if kind == 'polygon' else value}"
 
 
 def extent_crs(wildcards):
@@ -439,7 +414,7 @@ def extent_crs(wildcards):
 
 def extent_files(wildcards):
     """Files that decide what belongs to the site: its polygon, edges, or videolog."""
-    extent = SITES[wildcards.site].site.extent
+    extent = stated("extent", wildcards)
     if extent is None or extent.box is not None:
         return []
     if extent.polygon is not None:
@@ -449,7 +424,7 @@ def extent_files(wildcards):
 
 def layered_extent_files(wildcards):
     """The edges or the videolog that decide, with the layer that the site file names."""
-    extent = SITES[wildcards.site].site.extent
+    extent = stated("extent", wildcards)
     if extent is not None and extent.edges_m:
         return layered_site("placement.edges", edges_file)(wildcards)
     return extent_files(wildcards)
@@ -457,12 +432,9 @@ def layered_extent_files(wildcards):
 
 edges_file = sample_or_beside("placement.edges", "edges.geojson", where_stated=True)
 pavement_truth = sample_or_beside("truth.pavement", "truth.gpkg")
-
-
-def pavement_scores(wildcards):
-    """Scores against truth, where a site has truth."""
-    scored = has_scene_page(wildcards.site) and pavement_truth(wildcards)
-    return [f"results/{wildcards.site}/scene/pavement_scores.json"] if scored else []
+pavement_scores = scene_page_only(
+    where(pavement_truth)(["results/{site}/scene/pavement_scores.json"])
+)
 
 
 def given_files(wildcards):
@@ -471,15 +443,8 @@ def given_files(wildcards):
     if has_scene_page(wildcards.site):
         files += [edges_file, beside_site("placement.tma"), pavement_truth]
     if wants(wildcards.site, "poles"):
-        files += [
-            videolog_file,
-            beside_site("poles.baseline"),
-            cameras_of_videolog,
-            known_poles,
-            beside_site("roads.inventory"),
-            beside_site("roads.routes"),
-            beside_site("roads.barriers"),
-        ]
+        files += [videolog_file, beside_site("poles.baseline"), cameras_of_videolog, known_poles]
+        files += [beside_site(f"roads.{name}") for name in ("inventory", "routes", "barriers")]
     return [file for named in files for file in named(wildcards)]
 
 
@@ -501,9 +466,8 @@ def complete_steps():
             step.set_input(code=sources(step.name))
         if not step.log:
             _, place, *parts = Path(strip_wildcard_constraints(step.output[0])).parts
-            folders = [
-                part.partition(".")[0] for part in parts if "{" in part.replace("{site}", "")
-            ]
+            varied = [part for part in parts if "{" in part.replace("{site}", "")]
+            folders = [part.partition(".")[0] for part in varied]
             step.set_log(str(Path("logs", place, *folders, f"{step.name}.log")))
         _, *folders, name = Path(step.log[0]).with_suffix(".tsv").parts
         step.benchmark = str(Path("results", *folders[:1], "benchmarks", *folders[1:], name))
