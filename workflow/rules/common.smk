@@ -334,10 +334,11 @@ def sites_with_scene(scene):
 def where(holds):
     """Maker of inputs that a rule has where something holds of its wildcards, and none elsewhere.
 
-    They are given as an input function, as a path or as a list of paths.
+    They are given as an input function, as a path or as a list of paths. A parameter that is
+    limited is something else elsewhere.
     """
-    return lambda inputs: (
-        lambda wildcards: value_at(wildcards, inputs) if holds(wildcards) else []
+    return lambda inputs, otherwise=[]: (
+        lambda wildcards: value_at(wildcards, inputs) if holds(wildcards) else otherwise
     )
 
 

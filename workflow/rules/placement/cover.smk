@@ -30,7 +30,7 @@ use rule step as solve_cover with:
         settings=told(
             "cover",
             plan_availability,
-            robust_arguments,
+            if_robust(robust_arguments, ""),
             site=wildcard("site"),
             plan=wildcard("plan"),
             sensors=plan_costs,
@@ -76,7 +76,7 @@ use rule step as find_obstacles with:
         **holding_cloud(250),
     params:
         settings=told(
-            cell_arguments,
+            if_cells(cell_arguments, ""),
             plan=wildcard("plan"),
             sensors=CONFIG.sensors_file,
             zones=layered_site("placement.zones"),

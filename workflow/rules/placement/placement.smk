@@ -121,7 +121,9 @@ use rule step as check_coverage with:
     input:
         targets=rules.place_targets.output.out,
         candidates=lambda wildcards: candidates_in(wildcards.site, range(int(wildcards.round) + 1)),
-        detections=detections_up_to_round,
+        detections=lambda wildcards: detections_in(
+            wildcards.site, range(int(wildcards.round) + 1), sensors_of(wildcards.site)
+        ),
         frame=rules.ingest_cloud.output.frame,
         zones_files=in_last_round(beside_site("placement.zones")),
         cabinets_files=in_last_round(beside_site("placement.cabinets")),
@@ -138,7 +140,9 @@ use rule step as check_coverage with:
 
 use rule step as densify_candidates with:
     input:
-        coverage=coverage_of_previous_round,
+        coverage=lambda wildcards: (
+            f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
+        ),
         targets=rules.place_targets.output.out,
         candidates=lambda wildcards: candidates_in(wildcards.site, range(int(wildcards.round))),
         edges=rules.build_edges.output.out,

@@ -28,17 +28,13 @@ def mounting_rules(wildcards):
     return SITES[wildcards.site].settings.mounting.model_dump_json()
 
 
-def in_last_round(value, otherwise=()):
-    """What only the last coverage check looks at: zones and rules come after all detections.
+@where
+def in_last_round(wildcards):
+    """Only the last coverage check looks at zones and rules: they come after all detections.
 
     Rounds before it find gaps of all candidates, so that a zone renders nothing.
     """
-
-    def found(wildcards):
-        last = rounds_of(wildcards.site)[-1]
-        return value(wildcards) if int(wildcards.round) == last else otherwise or []
-
-    return found
+    return int(wildcards.round) == rounds_of(wildcards.site)[-1]
 
 
 def placement_results():
@@ -80,15 +76,6 @@ def detections_in(site, rounds, sensors):
     ]
 
 
-def coverage_of_previous_round(wildcards):
-    return f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
-
-
-def detections_up_to_round(wildcards):
-    rounds = range(int(wildcards.round) + 1)
-    return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
-
-
 all_candidates = of_site(lambda site: candidates_in(site, rounds_of(site)))
 all_detections = of_site(lambda site: detections_in(site, rounds_of(site), sensors_of(site)))
 
@@ -123,7 +110,6 @@ def plan_costs(wildcards):
 
 def plan_file(option):
     """File that an option of the plan names, as a list of inputs."""
-
     layered = layered_plan_file(option)
     return lambda wildcards: [file for path in layered(wildcards) for file in with_companions(path)]
 
@@ -131,11 +117,7 @@ def plan_file(option):
 def layered_plan_file(option):
     """The same as an argument: with the layer that the plan names."""
 
-    def files(wildcards):
-        found = plan_of(wildcards).file_of(option)
-        return [] if found is None else [found]
-
-    return files
+    return lambda wildcards: list(filter(None, [plan_of(wildcards).file_of(option)]))
 
 
 def plan_sensors(wildcards):
@@ -156,10 +138,9 @@ def placement_doubts(wildcards):
     return [f"{folder}/place_targets.json", *plans]
 
 
-def traffic_mask(wildcards):
-    """Points of passing vehicles, where the site asks to clear them."""
-    clear = SITES[wildcards.site].setting("lidar.clear_below_m") > 0
-    return [f"results/{wildcards.site}/scene/traffic.parquet"] if clear else []
+# Points of passing vehicles, where the site asks to clear them.
+if_cleared = where(lambda wildcards: setting("lidar.clear_below_m")(wildcards) > 0)
+traffic_mask = if_cleared(["results/{site}/scene/traffic.parquet"])
 
 
 def site_sensors(wildcards):
@@ -205,11 +186,7 @@ def depth_network(wildcards):
     return [lidar.network]
 
 
-def tilts_of_all_rounds(wildcards):
-    return [
-        TILTS_OF_ROUND.format(site=wildcards.site, round=number)
-        for number in rounds_of(wildcards.site)
-    ]
+tilts_of_all_rounds = of_site(lambda s: expand(TILTS_OF_ROUND, site=s, round=rounds_of(s)))
 
 
 def placement_effect(effect, file):
@@ -224,6 +201,8 @@ def plan_availability(wildcards):
 
 
 past_traffic = where(lambda wildcards: plan_of(wildcards).availability is not None)
+if_robust = where(lambda wildcards: plan_of(wildcards).robust is not None)
+if_cells = where(lambda wildcards: setting("obstacles.method")(wildcards) == "cells")
 
 
 def seen_surfels(wildcards):
@@ -241,14 +220,6 @@ def seen_surfels(wildcards):
     return f"results/{wildcards.site}/scene/surfels.parquet"
 
 
-def is_robust(wildcards):
-    """Whether the cover of a plan is to hold with tolerance."""
-    return plan_of(wildcards).robust is not None
-
-
-if_robust = where(is_robust)
-
-
 def air_of_site(wildcards):
     """What rain and fog take out of beams, where they are simulated."""
     files = []
@@ -259,18 +230,8 @@ def air_of_site(wildcards):
     return files
 
 
-def by_cells(wildcards):
-    """Whether obstacles are found by cells, as in the first study."""
-    return setting("obstacles.method")(wildcards) == "cells"
-
-
-if_cells = where(by_cells)
-
-
 def cell_arguments(wildcards):
-    """Arguments of obstacles by cells; nothing for others."""
-    if not by_cells(wildcards):
-        return ""
+    """Arguments of obstacles by cells, as in the first study."""
     found = SITES[wildcards.site].settings
     if box_of(wildcards.site) is not None:
         refuse(
@@ -298,9 +259,7 @@ def change_arguments(wildcards):
 
 
 def robust_arguments(wildcards):
-    """Arguments of a cover that holds with tolerance; nothing for others."""
-    if not is_robust(wildcards):
-        return ""
+    """Arguments of a cover that holds with tolerance."""
     posed = [s for s in plan_of(wildcards).sensors if is_posed(wildcards.site, s)]
     if posed:
         refuse(
@@ -330,8 +289,7 @@ def target_box(wildcards):
 
 def target_room(wildcards):
     """Radius and height about each target in which beams are cast."""
-    shape = shape_of(SITES[wildcards.site].settings.targets.model_dump())
-    return list(room_for(shape))
+    return list(room_for(shape_of(SITES[wildcards.site].settings.targets.model_dump())))
 
 
 def target_height(wildcards):
@@ -395,12 +353,7 @@ def panorama_of_shard(wildcards):
 
 def pose_angles(angle):
     """Angles in which the rule's sensor is tried."""
-
-    def angles(wildcards):
-        path = f"poses.{kind_of(wildcards.sensor)}.{angle}"
-        return setting(path)(wildcards)
-
-    return angles
+    return lambda wildcards: setting(f"poses.{kind_of(wildcards.sensor)}.{angle}")(wildcards)
 
 
 def criteria_of_sensor(wildcards):

@@ -65,7 +65,7 @@ use rule step as calibrate_drive with:
             dense_options,
             curvature=decision_on("sight_curvature"),
         ),
-        images_sha256=dense_digest,
+        images_sha256=if_dense(image_digest(), ""),
 
 
 use rule step as align_cameras with:
@@ -86,7 +86,7 @@ use rule step as align_cameras with:
             **ONE_SHARD,
         ),
         corrected=shard_corrections,
-        images_sha256=dense_digest,
+        images_sha256=if_dense(image_digest(), ""),
 
 
 use rule step as use_given_cameras with:
@@ -136,9 +136,9 @@ use rule step as measure_poles with:
         frames=rules.read_videolog.output.out,
         calibration=if_aligned([rules.calibrate_drive.output.out]),
         turns=side_turns_if_used,
-        cameras=cameras_of_shard,
-        masks=without_distortion("masks"),
-        depth=without_distortion("depth"),
+        cameras=pole_shard(camera_folder, "parquet"),
+        masks=pole_shard(straight("masks"), "zip"),
+        depth=pole_shard(straight("depth"), "zip"),
         dem=rules.build_dem.output.dem,
         columns=rules.find_pole_columns.output.out,
         voxels=if_bearings([rules.rasterise_lidar.output.voxels]),

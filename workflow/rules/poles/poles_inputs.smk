@@ -11,11 +11,18 @@ def image_shards(wildcards):
 
 
 def pole_shards(kind, suffix):
-    """All shards of one kind of result."""
+    """All shards of one kind of result, which may hang on the wildcards."""
     return lambda wildcards: [
-        f"results/{wildcards.site}/poles/{kind}/{shard}.{suffix}"
+        f"results/{wildcards.site}/poles/{value_at(wildcards, kind)}/{shard}.{suffix}"
         for shard in image_shards(wildcards)
     ]
+
+
+def pole_shard(kind, suffix):
+    """The shard that a rule is about."""
+    return lambda wildcards: (
+        f"results/{wildcards.site}/poles/{kind(wildcards)}/{wildcards.shard}.{suffix}"
+    )
 
 
 all_image_edges = pole_shards("image_edges", "parquet")
@@ -32,26 +39,13 @@ def distorts(wildcards):
     return decided("lens_distortion", wildcards) == "simulate"
 
 
-def straight(kind, wildcards):
+def straight(kind):
     """Folder of masks or depth: of straightened ones where the lenses distort."""
-    return f"straight/{kind}" if distorts(wildcards) else kind
+    return lambda wildcards: f"straight/{kind}" if distorts(wildcards) else kind
 
 
-def without_distortion(kind):
-    """Masks or depth of a shard."""
-    return lambda wildcards: (
-        f"results/{wildcards.site}/poles/{straight(kind, wildcards)}/{wildcards.shard}.zip"
-    )
-
-
-def all_masks(wildcards):
-    return pole_shards(straight("masks", wildcards), "zip")(wildcards)
-
-
-def all_depths(wildcards):
-    return pole_shards(straight("depth", wildcards), "zip")(wildcards)
-
-
+all_masks = pole_shards(straight("masks"), "zip")
+all_depths = pole_shards(straight("depth"), "zip")
 # Profile of the drive with its lenses, where they distort.
 distorting_drive = where(distorts)("results/{site}/poles/drive.json")
 
@@ -137,15 +131,7 @@ def camera_folder(wildcards):
     return "cameras" if aligns(wildcards) else "given_cameras"
 
 
-def all_cameras(wildcards):
-    return pole_shards(camera_folder(wildcards), "parquet")(wildcards)
-
-
-def cameras_of_shard(wildcards):
-    folder = camera_folder(wildcards)
-    return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.parquet"
-
-
+all_cameras = pole_shards(camera_folder, "parquet")
 # Given cameras need no calibration of the drives.
 if_aligned = where(aligns)
 
@@ -184,10 +170,6 @@ def is_dense(wildcards):
 
 
 if_dense = where(is_dense)
-
-
-def dense_digest(wildcards):
-    return image_digest()(wildcards) if is_dense(wildcards) else ""
 
 
 def camera_memory(wildcards, attempt):
@@ -236,8 +218,5 @@ def images_by_shard(site, path):
     return [{name for name, own in dealt.items() if own == shard} for shard in range(shards)]
 
 
-def corrections_file(wildcards):
-    """The table of corrections, for shards that it is about."""
-    resolved = SITES[wildcards.site]
-    about = shard_corrections(wildcards)
-    return [resolved.beside(resolved.site.poles.corrections)] if about else []
+# The table of corrections, for shards that it is about.
+corrections_file = where(shard_corrections)(beside_site("poles.corrections"))

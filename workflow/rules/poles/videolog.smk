@@ -94,7 +94,7 @@ use rule step as undistort_views with:
 use rule step as trace_image_edges with:
     input:
         frames=rules.read_videolog.output.out,
-        masks=without_distortion("masks"),
+        masks=pole_shard(straight("masks"), "zip"),
     output:
         out=non_empty("results/{site}/poles/image_edges/{shard}.parquet"),
     params:
@@ -104,7 +104,7 @@ use rule step as trace_image_edges with:
 use rule step as trace_pole_axes with:
     input:
         frames=rules.read_videolog.output.out,
-        masks=without_distortion("masks"),
+        masks=pole_shard(straight("masks"), "zip"),
         decided=after_profile("side_views"),
     output:
         out=non_empty("results/{site}/poles/pole_axes/{shard}.parquet"),

@@ -155,11 +155,8 @@ def after_profile(*effects):
     """
 
     def waited(wildcards):
-        for effect in effects:
-            waiting = awaited(effect, wildcards)
-            if waiting is not None:
-                return [waiting.targetfile]
-        return []
+        first = next(filter(None, (awaited(effect, wildcards) for effect in effects)), None)
+        return [first.targetfile] if first else []
 
     return waited
 
