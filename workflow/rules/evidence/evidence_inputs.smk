@@ -33,53 +33,44 @@ def told_doubts(wildcards):
 
 def given_lists(wildcards):
     """Lists that the user gave, of places, of images and folders, as `match_inputs` takes them."""
-    resolved = SITES[wildcards.site]
-    site, poles, found = resolved.site, resolved.site.poles, []
+    resolved, plans = SITES[wildcards.site], plans_of(wildcards.site).values()
+    site, own, truth, poles = attrgetter("site", "site.placement", "site.truth", "site.poles")(
+        resolved
+    )
 
-    def add(kind, what, path, crs=None):
-        found.append(dict(kind=kind, what=what, path=path, crs=crs))
+    def named(what, path, crs=None, kind="places"):
+        return kind, what, None if path in (None, "sample") else resolved.layered(path), crs
 
-    def add_named(kind, what, path, crs=None):
-        if path is not None and path != "sample":
-            add(kind, what, resolved.layered(path), crs)
-
+    rows = []
     if has_scene_page(wildcards.site):
-        add_named("picture", "orthophoto", site.orthophoto)
-        own = site.placement
-        for what, path, crs in (
-            ("edges", own.edges, own.edges_crs),
-            ("polygons of the monitored area", own.tma, None),
-            ("zones", own.zones, None),
-            ("existing poles", own.mounts, None),
-            ("cabinets", own.cabinets, None),
-            ("known polygons", site.truth.pavement, site.truth.pavement_crs),
+        rows += [
+            named("orthophoto", site.orthophoto, kind="picture"),
+            named("edges", own.edges, own.edges_crs),
+            named("polygons of the monitored area", own.tma),
+            named("zones", own.zones),
+            named("existing poles", own.mounts),
+            named("cabinets", own.cabinets),
+            named("known polygons", truth.pavement, truth.pavement_crs),
+        ]
+    for plan in plans if wants(wildcards.site, "placement") else []:
+        for what, features in (
+            ("areas", plan.areas),
+            ("forbidden places", plan.forbidden),
+            ("mandatory places", plan.mandatory),
+            ("poles of the plan", plan.poles),
         ):
-            add_named("places", what, path, crs)
-    if wants(wildcards.site, "placement"):
-        for plan in plans_of(wildcards.site).values():
-            for option, what in (
-                ("areas", "areas"),
-                ("forbidden", "forbidden places"),
-                ("mandatory", "mandatory places"),
-                ("poles", "poles of the plan"),
-            ):
-                features = getattr(plan, option)
-                if features is not None:
-                    add("places", what, features.file, features.crs)
+            rows += [("places", what, features.file, features.crs)] if features is not None else []
     if wants(wildcards.site, "poles") and not site.sample:
-        truth = site.truth
-        add_named("places", "known poles", truth.poles, truth.poles_crs)
-        add_named("places", "barriers", site.roads.barriers, site.roads.barriers_crs)
-        for what, path in (
-            ("corrections", poles.corrections),
-            ("given cameras", poles.cameras),
-            ("known cameras", truth.cameras),
-        ):
-            add_named("images", what, path)
-        for path in named_folders(resolved, "masks"):
-            add("folder", "label images", path)
-        for path in named_folders(resolved, "depth"):
-            add("folder", "depth images", path)
+        rows += [
+            named("known poles", truth.poles, truth.poles_crs),
+            named("barriers", site.roads.barriers, site.roads.barriers_crs),
+            named("corrections", poles.corrections, kind="images"),
+            named("given cameras", poles.cameras, kind="images"),
+            named("known cameras", truth.cameras, kind="images"),
+            *(("folder", "label images", file, None) for file in named_folders(resolved, "masks")),
+            *(("folder", "depth images", file, None) for file in named_folders(resolved, "depth")),
+        ]
+    found = [dict(zip(("kind", "what", "path", "crs"), row)) for row in rows if row[2] is not None]
     return list({(one["kind"], one["path"]): one for one in found}.values())
 
 

@@ -29,8 +29,6 @@ all_image_edges = pole_shards("image_edges", "parquet")
 all_matches = pole_shards("matches", "parquet")
 all_pole_axes = pole_shards("pole_axes", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
-all_seen = pole_shards("seen", "parquet")
-all_markings = pole_shards("markings", "parquet")
 
 
 def distorts(wildcards):
@@ -144,29 +142,25 @@ def side_turns_if_used(wildcards):
     return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
 
 
-def known_lens(site):
-    """Numbers of the site's known lens, the path of their table, or None."""
-    return SITES[site].site.poles.intrinsics
-
-
 def intrinsics_file(wildcards):
-    """Table of known lenses, where the site names one."""
-    stated = known_lens(wildcards.site)
-    return [SITES[wildcards.site].beside(stated)] if isinstance(stated, str) else []
+    """Table of known lenses, where the site names one instead of its numbers."""
+    lens = stated("poles.intrinsics", wildcards)
+    return [SITES[wildcards.site].beside(lens)] if isinstance(lens, str) else []
 
 
 def intrinsics_option(wildcards):
     """Known lenses as the stages take them: a path, or a row as JSON; empty without any."""
-    stated = known_lens(wildcards.site)
-    if stated is None or isinstance(stated, str):
+    lens = stated("poles.intrinsics", wildcards)
+    if lens is None or isinstance(lens, str):
         return (intrinsics_file(wildcards) or [""])[0]
-    return stated.model_dump_json(exclude_none=True)
+    return lens.model_dump_json(exclude_none=True)
 
 
 def is_dense(wildcards):
     """Whether cameras are aligned with all that photographs and cloud share."""
     method = SITES[wildcards.site].setting("alignment.method")
-    return method == "dense" or (method == "auto" and known_lens(wildcards.site) is not None)
+    known_lens = stated("poles.intrinsics", wildcards) is not None
+    return method == "dense" or (method == "auto" and known_lens)
 
 
 if_dense = where(is_dense)

@@ -53,7 +53,7 @@ use rule step as segment_images with:
         models_sha256=models_digest(mask_models),
 
 
-use rule step as estimate_depth with:
+use rule segment_images as estimate_depth with:
     input:
         frames=rules.read_videolog.output.out,
         images_files=rendered_images,
@@ -61,8 +61,6 @@ use rule step as estimate_depth with:
         decided=after_profile("side_views"),
     output:
         out=non_empty("results/{site}/poles/depth/{shard}.zip"),
-    resources:
-        mem_mb=each_attempt(2000),
     params:
         settings=told(
             "networks",

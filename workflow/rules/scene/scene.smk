@@ -20,7 +20,7 @@ use rule step as generate_sample with:
         settings=told(sample_flags(HighwayScene, "length_m", "class_scheme"), seed=setting("seed")),
 
 
-use rule step as generate_rural with:
+use rule generate_sample as generate_rural with:
     output:
         cloud="results/{site}/sample/cloud.laz",
         truth="results/{site}/sample/truth.gpkg",
@@ -30,8 +30,6 @@ use rule step as generate_rural with:
         baseline="results/{site}/sample/baseline.json",
     wildcard_constraints:
         site=sites_with_scene("rural"),
-    resources:
-        mem_mb=each_attempt(2000),
     params:
         settings=told(
             sample_flags(RuralScene, RuralSurvey, "length_m", "class_scheme"),
@@ -39,13 +37,9 @@ use rule step as generate_rural with:
         ),
 
 
-use rule step as render_videolog with:
+use rule generate_rural as render_videolog with:
     output:
         images=non_empty("results/{site}/sample/images/{shard}.zip"),
-    wildcard_constraints:
-        site=sites_with_scene("rural"),
-    resources:
-        mem_mb=each_attempt(2000),
     params:
         settings=told(
             sample_flags(RuralScene, RuralLenses, "length_m"),
