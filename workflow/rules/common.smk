@@ -170,6 +170,8 @@ def sample_flags(*asked):
 
 
 def options_of(values_of, asked):
+    """Options of what a function of wildcards gives: of all of it, or of what is asked for."""
+
     def options(wildcards):
         values = values_of(wildcards).model_dump()
         parts = [[part] if isinstance(part, str) else part.model_fields for part in asked]
@@ -180,12 +182,9 @@ def options_of(values_of, asked):
 
 def settings_of(*sections):
     """Settings of sections as JSON, for a rule whose options would share names."""
-
-    def content(wildcards):
-        found = SITES[wildcards.site]
-        return json.dumps({name: found.setting(name).model_dump() for name in sections})
-
-    return content
+    return lambda wildcards: json.dumps(
+        {name: setting(name)(wildcards).model_dump() for name in sections}
+    )
 
 
 def as_options(values):
@@ -497,3 +496,9 @@ rule step:
         settings="",
     shell:
         STEP
+
+
+# Steps that send rays, or hold all surfels.
+use rule step as step_on_surfels with:
+    resources:
+        **holding_cloud(250),

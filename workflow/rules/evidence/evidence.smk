@@ -31,17 +31,14 @@ use rule step as measure_tradeoff with:
         ),
 
 
-use rule step as measure_base with:
+use rule measure_tradeoff as measure_base with:
     input:
         base_files=at_base(base_at),
     output:
         out="results/tradeoffs/base/{job}.json",
     log:
         "logs/tradeoffs/base-{job}.log",
-    resources:
-        mem_mb=4000,
     params:
-        command=command_with("cores"),
         settings=told(
             site=at_base(site_named),
             config=at_base(config_of_site),
@@ -148,17 +145,14 @@ use rule step as write_audit with:
 
 
 # Tables and figures of both studies: published, ours as published, ours by default.
-use rule step as measure_paper with:
+use rule measure_tradeoff as measure_paper with:
     input:
         base_files=base_of_paper,
     output:
         out="results/paper/runs/{size}/{run}.json",
     log:
         "logs/paper/{size}/{run}.log",
-    resources:
-        mem_mb=4000,
     params:
-        command=command_with("cores"),
         settings=told(
             site=site_of_paper,
             config=config_of_paper,

@@ -48,7 +48,7 @@ use rule step as solve_cover with:
         ),
 
 
-use rule step as find_obstacles with:
+use rule step_on_surfels as find_obstacles with:
     input:
         solution=rules.solve_cover.output.solution,
         coverage=last_coverage,
@@ -72,8 +72,6 @@ use rule step as find_obstacles with:
         code=sources_with("find_obstacles", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/obstacles.gpkg",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(
             if_cells(cell_arguments, ""),
@@ -88,7 +86,7 @@ use rule step as find_obstacles with:
         sensors=plan_costs,
 
 
-use rule step as render_scans with:
+use rule step_on_surfels as render_scans with:
     input:
         solution=rules.solve_cover.output.solution,
         surfels=seen_surfels,
@@ -99,14 +97,12 @@ use rule step as render_scans with:
         code=sources_with("render_scans", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/scans.laz",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(sensors=CONFIG.sensors_file, engine=setting("lidar.engine")),
         sensors=plan_costs,
 
 
-use rule step as measure_data with:
+use rule step_on_surfels as measure_data with:
     input:
         solution=rules.solve_cover.output.solution,
         targets=rules.place_targets.output.out,
@@ -124,8 +120,6 @@ use rule step as measure_data with:
     output:
         out="results/{site}/placement/{plan}/data.json",
         layers="results/{site}/placement/{plan}/data.gpkg",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(
             target_box,
@@ -142,7 +136,7 @@ use rule step as measure_data with:
         sensors=plan_costs,
 
 
-use rule step as measure_tolerance with:
+use rule step_on_surfels as measure_tolerance with:
     input:
         solution=rules.solve_cover.output.solution,
         targets=rules.place_targets.output.out,
@@ -157,8 +151,6 @@ use rule step as measure_tolerance with:
     output:
         out="results/{site}/placement/{plan}/tolerance.json",
         layers="results/{site}/placement/{plan}/tolerance.gpkg",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(
             change_arguments,
@@ -169,7 +161,7 @@ use rule step as measure_tolerance with:
         sensors=site_sensors_seeing,
 
 
-use rule step as try_removals with:
+use rule step_on_surfels as try_removals with:
     input:
         solution=rules.solve_cover.output.solution,
         obstacles=rules.find_obstacles.output.out,
@@ -188,8 +180,6 @@ use rule step as try_removals with:
         code=sources_with("try_removals", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/removals.json",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(
             change_arguments,

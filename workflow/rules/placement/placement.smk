@@ -41,7 +41,7 @@ use rule step as place_targets with:
         settings=told(flags("targets", TargetGrid), target_box, width_m=target_width),
 
 
-use rule step as gather_objects with:
+use rule step_on_surfels as gather_objects with:
     input:
         surfels=rules.build_surfels.output.out,
         dem=rules.build_dem.output.dem,
@@ -50,13 +50,11 @@ use rule step as gather_objects with:
         objects="results/{site}/placement/objects.gpkg",
         members="results/{site}/placement/objects.parquet",
         left="results/{site}/placement/surfels_left.parquet",
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(site=wildcard("site"), remove=site_field("placement.remove")),
 
 
-use rule step as render_depth_maps with:
+use rule step_on_surfels as render_depth_maps with:
     input:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         surfels=seen_surfels,
@@ -69,8 +67,6 @@ use rule step as render_depth_maps with:
         code=sources_with("render_depth_maps", setting("lidar.engine")),
     output:
         out=non_empty("results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet"),
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(
             flags("lidar", CellFilling),
@@ -260,14 +256,12 @@ use rule step as detect_poses with:
 
 
 # Depth maps in pairs, to train a network on a site's own cloud; only where they are asked for.
-use rule step as render_depth_pairs with:
+use rule step_on_surfels as render_depth_pairs with:
     input:
         candidates="results/{site}/placement/round-0/candidates.parquet",
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
     output:
         out=non_empty("results/{site}/placement/pairs/{site}.hybrid.npz"),
-    resources:
-        **holding_cloud(250),
     params:
         settings=told(seed=setting("seed")),

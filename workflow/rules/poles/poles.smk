@@ -68,15 +68,13 @@ use rule step as calibrate_drive with:
         images_sha256=if_dense(image_digest(), ""),
 
 
-use rule step as align_cameras with:
+use rule calibrate_drive as align_cameras with:
     input:
         **ROAD_AND_POLES,
         **{"calibration": rules.calibrate_drive.output.out},
         **PHOTOGRAPHS,
     output:
         out=non_empty("results/{site}/poles/cameras/{shard}.parquet"),
-    resources:
-        mem_mb=camera_memory,
     params:
         settings=told(
             dense_options,
@@ -86,7 +84,6 @@ use rule step as align_cameras with:
             **ONE_SHARD,
         ),
         corrected=shard_corrections,
-        images_sha256=if_dense(image_digest(), ""),
 
 
 use rule step as use_given_cameras with:

@@ -148,14 +148,6 @@ def intrinsics_file(wildcards):
     return [SITES[wildcards.site].beside(lens)] if isinstance(lens, str) else []
 
 
-def intrinsics_option(wildcards):
-    """Known lenses as the stages take them: a path, or a row as JSON; empty without any."""
-    lens = stated("poles.intrinsics", wildcards)
-    if lens is None or isinstance(lens, str):
-        return (intrinsics_file(wildcards) or [""])[0]
-    return lens.model_dump_json(exclude_none=True)
-
-
 def is_dense(wildcards):
     """Whether cameras are aligned with all that photographs and cloud share."""
     method = SITES[wildcards.site].setting("alignment.method")
@@ -172,9 +164,13 @@ def camera_memory(wildcards, attempt):
 
 
 def dense_options(wildcards):
-    """Options of the dense alignment that are no files of the workflow."""
-    lens = intrinsics_option(wildcards)
-    parts = ["--intrinsics", shlex.quote(lens)] if lens else []
+    """Options of the dense alignment that are no files of the workflow.
+
+    Known lenses are told as a path, or as a row in JSON.
+    """
+    lens = stated("poles.intrinsics", wildcards)
+    told = intrinsics_file(wildcards) or ([lens.model_dump_json(exclude_none=True)] if lens else [])
+    parts = ["--intrinsics", shlex.quote(told[0])] if told else []
     if is_dense(wildcards):
         parts += ["--photographs", shlex.quote(str(images_path(wildcards)))]
         parts += ["--lenses", shlex.quote(given_lenses(wildcards))]

@@ -42,9 +42,8 @@ def rendered_images(wildcards):
 def videolog_shards(site, folders):
     resolved = SITES[site]
     table = resolved.beside(resolved.site.poles.videolog) or folders[0]
-    settings = resolved.settings
-    every = settings.videolog.every
-    return clearly(files_by_shard, table, list(folders), settings.shards, every)
+    shards, every = resolved.settings.shards, resolved.settings.videolog.every
+    return clearly(files_by_shard, table, list(folders), shards, every)
 
 
 def image_digest(*fields):
