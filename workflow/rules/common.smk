@@ -241,12 +241,6 @@ def cloud_files(wildcards):
     return ancient(resolved.clouds)
 
 
-def cloud_checksums(wildcards):
-    """SHA-256 of each cloud, cached by path, size and date."""
-    resolved = SITES[wildcards.site]
-    return [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
-
-
 def beside_site(path):
     """Optional file that the site file names, as a list of inputs: with all of a shapefile."""
 
@@ -334,15 +328,16 @@ def where(holds):
     """Maker of inputs that a rule has where something holds of its wildcards, and none elsewhere.
 
     They are given as an input function, as a path or as a list of paths. A parameter that is
-    limited is something else elsewhere.
+    limited may be something else elsewhere.
     """
     return lambda inputs, otherwise=[]: (
-        lambda wildcards: value_at(wildcards, inputs) if holds(wildcards) else otherwise
+        lambda wildcards: value_at(wildcards, inputs if holds(wildcards) else otherwise)
     )
 
 
 placement_only = where(lambda wildcards: wants(wildcards.site, "placement"))
 poles_only = where(lambda wildcards: wants(wildcards.site, "poles"))
+if_rendered = where(lambda wildcards: is_rendered(wildcards))
 scene_page_only = where(lambda wildcards: has_scene_page(wildcards.site))
 
 

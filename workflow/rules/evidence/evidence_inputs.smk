@@ -167,10 +167,8 @@ def config_of_audit(wildcards):
     return CONFIG.model_copy(update=changes).model_dump_json()
 
 
-def effects_of_one_way(wildcards):
-    """Effects of the pole job that a site has no choice about: poses that nobody gives."""
-    given = SITES[wildcards.site].site.poles.cameras
-    return "" if given else "--leave-out road_alignment"
+# A site has no choice about poses that nobody gives.
+effects_of_one_way = where(site_field("poles.cameras"))("", "--leave-out road_alignment")
 
 
 def audited_plan(wildcards):

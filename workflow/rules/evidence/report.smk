@@ -10,9 +10,7 @@ use rule step as match_inputs with:
         doubts="results/{site}/doubts/match_inputs.json",
     params:
         settings=told(
-            views=lambda wildcards: (
-                used_views(wildcards) if frames_of_lists(wildcards) else ["front"]
-            ),
+            views=where(frames_of_lists)(used_views, ["front"]),
             lists=lambda wildcards: json.dumps(given_lists(wildcards)),
         ),
         images_sha256=listed_images,

@@ -29,7 +29,9 @@ use rule step as solve_cover with:
     params:
         settings=told(
             "cover",
-            plan_availability,
+            past_traffic(
+                lambda wildcards: f"--availability {plan_of(wildcards).availability!r}", ""
+            ),
             if_robust(robust_arguments, ""),
             site=wildcard("site"),
             plan=wildcard("plan"),

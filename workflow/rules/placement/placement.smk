@@ -129,7 +129,7 @@ use rule step as check_coverage with:
         settings=told(
             zones=in_last_round(layered_site("placement.zones")),
             cabinets=in_last_round(layered_site("placement.cabinets")),
-            mounting=in_last_round(mounting_rules, otherwise="{}"),
+            mounting=in_last_round(mounting_rules, lambda wildcards: "{}"),
             plans=plan_sensors,
         ),
 

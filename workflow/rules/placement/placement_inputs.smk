@@ -194,12 +194,7 @@ def placement_effect(effect, file):
     return only_if(effect, [f"results/{{site}}/placement/effects/{file}"])
 
 
-def plan_availability(wildcards):
-    """Option of a plan whose sensors together must see targets so often."""
-    level = plan_of(wildcards).availability
-    return "" if level is None else f"--availability {level!r}"
-
-
+# Of a plan whose sensors together must see targets so often.
 past_traffic = where(lambda wildcards: plan_of(wildcards).availability is not None)
 if_robust = where(lambda wildcards: plan_of(wildcards).robust is not None)
 if_cells = where(lambda wildcards: setting("obstacles.method")(wildcards) == "cells")
@@ -367,12 +362,6 @@ def criteria_of_sensor(wildcards):
     return f"--min-beams {min_beams_of(wildcards.site)}"
 
 
-def of_map(of_sensor, of_panorama):
-    """What a depth map has: a sensor's and a panorama's, each a value or a function of wildcards.
-
-    A panorama's name says all about it, no sensor's candidates limit it, it is never thinned, and
-    levelled however the mount leans.
-    """
-    return lambda wildcards: value_at(
-        wildcards, of_sensor if wildcards.sensor in SENSORS else of_panorama
-    )
+# What a sensor's depth map has, or else a panorama: its name says all about it, no sensor's candidates
+# limit it, it is never thinned, and levelled however the mount leans.
+of_map = where(lambda wildcards: wildcards.sensor in SENSORS)

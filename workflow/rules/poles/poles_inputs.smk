@@ -57,10 +57,6 @@ if_unclassed = where(lambda wildcards: not has_classes(wildcards))
 if_curbs = where(lambda wildcards: setting("road_edges.method")(wildcards) == "curbs")
 
 
-def road_source(wildcards):
-    return "class" if has_classes(wildcards) else "pavement"
-
-
 @where
 def if_bearings(wildcards):
     """Bearings are those to the nearest voxel, or depths are fitted to voxels."""
@@ -80,11 +76,8 @@ known_cameras = sample_or_beside("truth.cameras", "truth_cameras.csv")
 cameras_of_videolog = sample_or_beside("poles.cameras", "truth_cameras.csv", where_stated=True)
 
 
-def known_pole_kind(wildcards):
-    """Which of the known posts are poles."""
-    return "utility" if is_rendered(wildcards) else site_field("truth.poles_kind")(wildcards)
-
-
+# Which of the known posts are poles.
+known_pole_kind = if_rendered("utility", site_field("truth.poles_kind"))
 camera_scores = poles_only(where(known_cameras)(["results/{site}/poles/camera_scores.json"]))
 pole_validation = poles_only(where(known_poles)(["results/{site}/poles/validation.json"]))
 compared_components = where(
@@ -92,7 +85,6 @@ compared_components = where(
         setting("validation.components")(wildcards) == "compare" and pole_validation(wildcards)
     )
 )(["results/{site}/poles/components.json"])
-if_rendered = where(lambda wildcards: is_rendered(wildcards))
 
 
 def aligns(wildcards):
@@ -125,13 +117,10 @@ def registered_cameras(wildcards):
     )
 
 
-def camera_folder(wildcards):
-    return "cameras" if aligns(wildcards) else "given_cameras"
-
-
-all_cameras = pole_shards(camera_folder, "parquet")
 # Given cameras need no calibration of the drives.
 if_aligned = where(aligns)
+camera_folder = if_aligned("cameras", "given_cameras")
+all_cameras = pole_shards(camera_folder, "parquet")
 
 
 def side_turns_if_used(wildcards):

@@ -71,7 +71,7 @@ use rule step as ingest_cloud with:
             extent_files=layered_extent_files,
             extent_crs=extent_crs,
         ),
-        sha256=cloud_checksums,
+        sha256=if_rendered([], of_site(lambda site: list(map(CHECKSUMS.of, SITES[site].clouds)))),
 
 
 checkpoint profile_scene:
@@ -125,7 +125,7 @@ use rule step as extract_pavement with:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         ground=rules.build_dem.output.ground,
-        profile=profile_for_pavement,
+        profile=if_profiled([rules.profile_scene.output.out]),
         clusters=of_pavement("published", [rules.cluster_fpfh.output.out]),
         edges_files=of_pavement("surface", edges_file),
         track_files=of_pavement("surface", beside_site("placement.track")),
@@ -182,9 +182,7 @@ use rule step as score_pavement with:
         settings=told(
             truth=layered_site("truth.pavement", pavement_truth),
             truth_crs=site_field("truth.pavement_crs"),
-            truth_layer=lambda wildcards: (
-                "pavement" if SITES[wildcards.site].site.sample else ""
-            ),
+            truth_layer=if_rendered("pavement", ""),
             reach_m=site_field("truth.reach_m"),
         ),
 
@@ -232,7 +230,7 @@ use rule step as rasterise_lidar with:
         **holding_cloud(10),
     params:
         command=command_with("threads"),
-        settings=told("voxels", road_source=road_source),
+        settings=told("voxels", road_source=where(has_classes)("class", "pavement")),
 
 
 use rule step as extract_road_edges with:

@@ -215,11 +215,10 @@ def setting_of_pavement(method, value):
     return used
 
 
-def profile_for_pavement(wildcards):
-    """The profile, by which the way to the pavement is chosen, or a surface is refused."""
-    if stated_method(wildcards) in ("user", "published"):
-        return []
-    return [f"results/{wildcards.site}/scene/profile.json"]
+@where
+def if_profiled(wildcards):
+    """The profile tells which way to the pavement is chosen, or a surface is refused."""
+    return stated_method(wildcards) not in ("user", "published")
 
 
 def pavement_seeds(wildcards):
