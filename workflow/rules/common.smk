@@ -252,7 +252,7 @@ def beside_site(path):
 
 
 def sample_or_beside(path, generated, where_stated=False):
-    """The same, but a generated site has this file of its sample; if so said, where it states it."""
+    """The same, or a file of a generated site's sample, of some only where the site states it."""
 
     def files(wildcards):
         if (stated(path, wildcards) == "sample") if where_stated else is_rendered(wildcards):

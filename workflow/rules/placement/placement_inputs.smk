@@ -362,6 +362,6 @@ def criteria_of_sensor(wildcards):
     return f"--min-beams {min_beams_of(wildcards.site)}"
 
 
-# What a sensor's depth map has, or else a panorama: its name says all about it, no sensor's candidates
-# limit it, it is never thinned, and levelled however the mount leans.
+# What a sensor's depth map has, or else a panorama: its name says all about it, no sensor's
+# candidates limit it, it is never thinned, and levelled however the mount leans.
 of_map = where(lambda wildcards: wildcards.sensor in SENSORS)

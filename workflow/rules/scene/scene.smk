@@ -258,9 +258,9 @@ use rule step as build_terrain with:
         settings=told(flags("voxels", RoadClasses), "terrain_mesh"),
 
 
-# Which physical effects each site simulates. Decisions hang on what was measured: `profile_scene` is
-# the one checkpoint of the placement job, `profile_drive` that of the pole job. Before it has run,
-# `snakemake -n` shows inputs that hang on a decision as <TBD>; after it, the whole DAG.
+# Which physical effects each site simulates. Decisions hang on what was measured: `profile_scene`
+# is the one checkpoint of the placement job, `profile_drive` that of the pole job. Before it has
+# run, `snakemake -n` shows inputs that hang on a decision as <TBD>; after it, the whole DAG.
 use rule step as plan_effects with:
     input:
         profile="results/{site}/scene/profile.json",
