@@ -7,23 +7,18 @@ import os
 import re
 import shlex
 import sys
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import (
-    check_engines,
-    load_config,
-    load_site,
-    load_sites,
-    merged,
-)
+from roadsight.config.load import check_engines, load_config, load_site, load_sites, merged
 from roadsight.evidence.paper import site_files
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
-from roadsight.io.records.sources import CachedChecksums
-from roadsight.io.records.sources import Stamps, stage_module
+from roadsight.io.records.sources import CachedChecksums, Stamps, stage_module
 from roadsight.io.records.companions import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
@@ -78,13 +73,9 @@ TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file, BRINGS_OPEN3D or None
 # `tradeoffs`, `audit` and `paper` ask for them. They solve their own plans, whatever plans a run asks for.
 OWN_PLANS = CONFIG.model_copy(update={"plans": []})
 AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
+OTHER_SITES = OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]})
 SITES = (
-    clearly(load_evidence_sites, CONFIG, TRADEOFFS)
-    | clearly(
-        load_sites,
-        OWN_PLANS.model_copy(update={"sites": [*AUDIT_SITES, *site_files()]}),
-    )
-    | ASKED_SITES
+    clearly(load_evidence_sites, CONFIG, TRADEOFFS) | clearly(load_sites, OTHER_SITES) | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
 STAMPS = Stamps(Path(".snakemake/roadsight/sources"), LOCK)
@@ -123,9 +114,7 @@ def command(wildcards, input, output, threads, told_threads=""):
 
 def command_with(name):
     """The same for a stage that is told its threads, under this name."""
-    return lambda wildcards, input, output, threads: command(
-        wildcards, input, output, threads, name
-    )
+    return partial(command, told_threads=name)
 
 
 def told(*sections, **values):
@@ -139,21 +128,26 @@ def told(*sections, **values):
     parts = [flags(part) if isinstance(part, str) else part for part in sections]
 
     def options(wildcards):
-        named = {
-            name: value(wildcards) if callable(value) else formatted(value, wildcards)
-            for name, value in values.items()
-        }
+        named = {name: value_at(wildcards, value) for name, value in values.items()}
         return " ".join([*(part(wildcards) for part in parts), as_options(named)])
 
     return options
 
 
-def formatted(value, wildcards):
+def wildcard(name):
+    return lambda wildcards: wildcards[name]
+
+
+def value_at(wildcards, value):
+    """A value, a path with its wildcards filled in, or what a function of wildcards gives."""
+    if callable(value):
+        return value(wildcards)
     return value.format_map(dict(wildcards.items())) if isinstance(value, str) else value
 
 
-def wildcard(name):
-    return lambda wildcards: wildcards[name]
+def of_site(function):
+    """A function of a site for a rule: of its wildcards."""
+    return lambda wildcards: function(wildcards.site)
 
 
 def setting(path):
@@ -161,42 +155,36 @@ def setting(path):
     return lambda wildcards: SITES[wildcards.site].setting(path)
 
 
+# What a stage that does one shard of all images is told.
+ONE_SHARD = {"shard": wildcard("shard"), "shards": setting("shards")}
+
+
 def flags(section, *asked):
     """Options of a section: of all its settings, or of those asked for by name or by a part of it."""
-
-    def options(wildcards):
-        values = SITES[wildcards.site].setting(section).model_dump()
-        return as_options({name: values[name] for name in settings_in(asked) or values})
-
-    return options
+    return options_of(setting(section), asked)
 
 
 def sample_flags(*asked):
     """The same of what a site says of its generated scene."""
+    return options_of(site_field("sample"), asked)
+
+
+def options_of(values_of, asked):
+    """Options of what a function of wildcards gives: of all of it, or of what is asked for."""
 
     def options(wildcards):
-        values = SITES[wildcards.site].site.sample.model_dump()
-        return as_options({name: values[name] for name in settings_in(asked)})
+        values = values_of(wildcards).model_dump()
+        parts = [[part] if isinstance(part, str) else part.model_fields for part in asked]
+        return as_options({name: values[name] for name in [*chain(*parts)] or values})
 
     return options
 
 
 def settings_of(*sections):
     """Settings of sections as JSON, for a rule whose options would share names."""
-
-    def content(wildcards):
-        found = SITES[wildcards.site]
-        return json.dumps({name: found.setting(name).model_dump() for name in sections})
-
-    return content
-
-
-def settings_in(asked):
-    """Names of settings: those named, and all of the sections among them."""
-    found = []
-    for part in asked:
-        found += [part] if isinstance(part, str) else part.model_fields
-    return found
+    return lambda wildcards: json.dumps(
+        {name: setting(name)(wildcards).model_dump() for name in sections}
+    )
 
 
 def as_options(values):
@@ -214,13 +202,16 @@ def as_options(values):
     return " ".join(parts)
 
 
-def site_field(path):
+def stated(path, wildcards):
     """Value of a site file's field."""
+    return attrgetter(path)(SITES[wildcards.site].site)
+
+
+def site_field(path):
+    """The same as a parameter, empty where there is none."""
 
     def value(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
+        content = stated(path, wildcards)
         return "" if content is None else content
 
     return value
@@ -235,11 +226,8 @@ def sources(stage):
 def sources_with(stage, engine):
     """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
     # Now, and not for the first job that asks: Snakemake lists a folder once.
-    stamp = sources(stage)
-    return lambda wildcards: [
-        stamp,
-        *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
-    ]
+    own, both = [sources(stage)], [sources(stage), OPEN3D_LOCK]
+    return lambda wildcards: both if engine(wildcards) == "open3d" else own
 
 
 def cloud_files(wildcards):
@@ -247,27 +235,29 @@ def cloud_files(wildcards):
     resolved = SITES[wildcards.site]
     if resolved.site.sample:
         return [f"results/{wildcards.site}/sample/cloud.laz"]
-    missing = [file for file in resolved.clouds if not Path(file).is_file()]
-    for file in missing:
-        refuse("no such cloud", where=f"{resolved.file}: clouds", found=file)
+    for file in resolved.clouds:
+        if not Path(file).is_file():
+            refuse("no such cloud", where=f"{resolved.file}: clouds", found=file)
     return ancient(resolved.clouds)
-
-
-def cloud_checksums(wildcards):
-    """SHA-256 of each cloud, cached by path, size and date."""
-    resolved = SITES[wildcards.site]
-    return [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
 
 
 def beside_site(path):
     """Optional file that the site file names, as a list of inputs: with all of a shapefile."""
 
     def files(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
-        found = SITES[wildcards.site].beside(content)
+        found = SITES[wildcards.site].beside(stated(path, wildcards))
         return [] if found is None else with_companions(found)
+
+    return files
+
+
+def sample_or_beside(path, generated, where_stated=False):
+    """The same, or a file of a generated site's sample, of some only where the site states it."""
+
+    def files(wildcards):
+        if (stated(path, wildcards) == "sample") if where_stated else is_rendered(wildcards):
+            return [f"results/{wildcards.site}/sample/{generated}"]
+        return beside_site(path)(wildcards)
 
     return files
 
@@ -276,9 +266,7 @@ def layered_site(path, otherwise=None):
     """The same as an argument of a stage: with the layer that the site file names."""
 
     def files(wildcards):
-        content = SITES[wildcards.site].site
-        for part in path.split("."):
-            content = getattr(content, part)
+        content = stated(path, wildcards)
         if content is None or content == "sample":
             return (otherwise or beside_site(path))(wildcards)
         return [SITES[wildcards.site].layered(content)]
@@ -294,27 +282,35 @@ def million_points(input):
     return os.path.getsize(cloud) / 9 / 1e6 if cloud and os.path.exists(cloud) else 4
 
 
-def megabytes(per_million_points, base=600):
-    """Memory for a stage that holds the cloud: calibrated on logs, more with each attempt."""
-
-    def mem_mb(wildcards, input, attempt):
-        return int((base + per_million_points * million_points(input)) * attempt)
-
-    return mem_mb
+def by_points(base, per_million_points):
+    """An amount that grows with the cloud of a stage, and with each attempt."""
+    return lambda wildcards, input, attempt: int(
+        (base + per_million_points * million_points(input)) * attempt
+    )
 
 
-def minutes(per_million_points=5, base=30):
-    """Time for a stage that works through the cloud: ten times what a slow core needs."""
+def megabytes(per_million_points):
+    """Memory for a stage that holds the cloud: calibrated on logs."""
+    return by_points(600, per_million_points)
 
-    def runtime(wildcards, input, attempt):
-        return int((base + per_million_points * million_points(input)) * attempt)
 
-    return runtime
+# Minutes for a stage that works through the cloud: ten times what a slow core needs.
+MINUTES = by_points(30, 5)
+
+
+def holding_cloud(megabytes_per_million_points):
+    """Memory and time of a stage that holds the cloud."""
+    return {"mem_mb": megabytes(megabytes_per_million_points), "runtime": MINUTES}
 
 
 def each_attempt(amount):
     """An amount that grows with each attempt."""
     return lambda wildcards, attempt: amount * attempt
+
+
+def non_empty(path):
+    """An output that is there but empty is a failure."""
+    return ensure(path, non_empty=True)
 
 
 def wants(site, job):
@@ -323,30 +319,25 @@ def wants(site, job):
 
 def sites_with_scene(scene):
     """Pattern of the sites that generate this scene; one that matches nothing if there are none."""
-    found = [
-        s
-        for s, resolved in SITES.items()
-        if resolved.site.sample and resolved.site.sample.scene == scene
-    ]
+    samples = {name: resolved.site.sample for name, resolved in SITES.items()}
+    found = [name for name, sample in samples.items() if sample and sample.scene == scene]
     return "|".join(map(re.escape, found)) or "(?!)"
 
 
 def where(holds):
     """Maker of inputs that a rule has where something holds of its wildcards, and none elsewhere.
 
-    They are given as an input function, as a path or as a list of paths.
+    They are given as an input function, as a path or as a list of paths. A parameter that is
+    limited may be something else elsewhere.
     """
-
-    def limited(inputs):
-        return lambda wildcards: (
-            (inputs(wildcards) if callable(inputs) else inputs) if holds(wildcards) else []
-        )
-
-    return limited
+    return lambda inputs, otherwise=[]: (
+        lambda wildcards: value_at(wildcards, inputs if holds(wildcards) else otherwise)
+    )
 
 
 placement_only = where(lambda wildcards: wants(wildcards.site, "placement"))
 poles_only = where(lambda wildcards: wants(wildcards.site, "poles"))
+if_rendered = where(lambda wildcards: is_rendered(wildcards))
 scene_page_only = where(lambda wildcards: has_scene_page(wildcards.site))
 
 
@@ -355,24 +346,14 @@ def has_scene_page(site):
     return wants(site, "scene") or wants(site, "placement")
 
 
-def scene_results():
+def asked(results, *jobs):
+    """Results of the sites that a run asks for: of those with any of the jobs, or of all."""
     return [
-        f"results/{site}/{file}"
+        result.replace("{site}", site)
         for site in ASKED_SITES
-        if has_scene_page(site)
-        for file in ("scene/pavement.gpkg", "placement/edges.gpkg")
+        if not jobs or any(wants(site, job) for job in jobs)
+        for result in results
     ]
-
-
-# Pages of evidence that have targets of their own, by their titles.
-EVIDENCE_PAGES = {
-    "Accuracy and time": "results/tradeoffs/index.html",
-    "Real roads": "results/truth/index.html",
-    "Hard cases": "results/hardcases/index.html",
-    "Effects audited": "results/audit/index.html",
-    "Both studies": "results/paper/short.html",
-    "Benchmarks": "results/bench/index.html",
-}
 
 
 def evidence_pages():
@@ -381,24 +362,15 @@ def evidence_pages():
     They are parameters of the report and not inputs: a report would otherwise run hours of sweeps
     again whenever a page is older than the code.
     """
-    return [
-        f"{title}={Path(page).relative_to('results')}"
-        for title, page in EVIDENCE_PAGES.items()
-        if Path(page).is_file()
-    ]
-
-
-def site_pages():
-    return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
-
-
-def site_runs():
-    """When and by what each reported site was made."""
-    return [
-        f"results/{site}/run.json"
-        for site in ASKED_SITES
-        if has_scene_page(site) or wants(site, "poles")
-    ]
+    pages = {
+        "Accuracy and time": "tradeoffs/index.html",
+        "Real roads": "truth/index.html",
+        "Hard cases": "hardcases/index.html",
+        "Effects audited": "audit/index.html",
+        "Both studies": "paper/short.html",
+        "Benchmarks": "bench/index.html",
+    }
+    return [f"{title}={page}" for title, page in pages.items() if Path("results", page).is_file()]
 
 
 def printed_reports():
@@ -406,38 +378,25 @@ def printed_reports():
     if importlib.util.find_spec("typst") is None:
         print("no report.pdf: the package typst is not installed", file=sys.stderr)
         return []
-    return [
-        f"results/{site}/report.pdf"
-        for site in ASKED_SITES
-        if has_scene_page(site) or wants(site, "poles")
-    ]
+    return asked(["results/{site}/report.pdf"])
 
 
 def handovers():
     """What GIS, CAD and crews take along."""
     found = []
     for site in ASKED_SITES:
-        if has_scene_page(site) or wants(site, "poles"):
-            found += [f"results/{site}/gis/{site}.{kind}" for kind in ("gpkg", "qgs", "kml", "dxf")]
-        if wants(site, "placement"):
-            found.append(f"results/{site}/stakeout.csv")
+        found += [f"results/{site}/gis/{site}.{kind}" for kind in ("gpkg", "qgs", "kml", "dxf")]
+        found += [f"results/{site}/stakeout.csv"] if wants(site, "placement") else []
     return found
-
-
-def summaries():
-    return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
 
 def site_extent(wildcards):
     """The site's extent as ``kind=value``; a polygon is given by its file."""
-    resolved = SITES[wildcards.site]
-    extent = resolved.site.extent
+    extent = stated("extent", wildcards)
     if extent is None:
         return ""
     kind, _, value = extent.stated.partition("=")
-    if kind == "polygon":
-        value = resolved.layered(value)
-    return f"{kind}={value}"
+    return f"{kind}={SITES[wildcards.site].layered(value) if kind == 'polygon' else value}"
 
 
 def extent_crs(wildcards):
@@ -450,7 +409,7 @@ def extent_crs(wildcards):
 
 def extent_files(wildcards):
     """Files that decide what belongs to the site: its polygon, edges, or videolog."""
-    extent = SITES[wildcards.site].site.extent
+    extent = stated("extent", wildcards)
     if extent is None or extent.box is not None:
         return []
     if extent.polygon is not None:
@@ -460,30 +419,17 @@ def extent_files(wildcards):
 
 def layered_extent_files(wildcards):
     """The edges or the videolog that decide, with the layer that the site file names."""
-    extent = SITES[wildcards.site].site.extent
+    extent = stated("extent", wildcards)
     if extent is not None and extent.edges_m:
         return layered_site("placement.edges", edges_file)(wildcards)
     return extent_files(wildcards)
 
 
-def edges_file(wildcards):
-    """Digitised edges: the site's file, or those that come with the generated sample."""
-    if SITES[wildcards.site].site.placement.edges == "sample":
-        return [f"results/{wildcards.site}/sample/edges.geojson"]
-    return beside_site("placement.edges")(wildcards)
-
-
-def pavement_truth(wildcards):
-    """Reference polygons for scoring: the site's file, or the generated sample's truth."""
-    if SITES[wildcards.site].site.sample:
-        return [f"results/{wildcards.site}/sample/truth.gpkg"]
-    return beside_site("truth.pavement")(wildcards)
-
-
-def pavement_scores(wildcards):
-    """Scores against truth, where a site has truth."""
-    scored = has_scene_page(wildcards.site) and pavement_truth(wildcards)
-    return [f"results/{wildcards.site}/scene/pavement_scores.json"] if scored else []
+edges_file = sample_or_beside("placement.edges", "edges.geojson", where_stated=True)
+pavement_truth = sample_or_beside("truth.pavement", "truth.gpkg")
+pavement_scores = scene_page_only(
+    where(pavement_truth)(["results/{site}/scene/pavement_scores.json"])
+)
 
 
 def given_files(wildcards):
@@ -492,27 +438,16 @@ def given_files(wildcards):
     if has_scene_page(wildcards.site):
         files += [edges_file, beside_site("placement.tma"), pavement_truth]
     if wants(wildcards.site, "poles"):
-        files += [
-            videolog_file,
-            beside_site("poles.baseline"),
-            cameras_of_videolog,
-            known_poles,
-            beside_site("roads.inventory"),
-            beside_site("roads.routes"),
-            beside_site("roads.barriers"),
-        ]
+        files += [videolog_file, beside_site("poles.baseline"), cameras_of_videolog, known_poles]
+        files += [beside_site(f"roads.{name}") for name in ("inventory", "routes", "barriers")]
     return [file for named in files for file in named(wildcards)]
 
 
-def all_settings(wildcards):
-    """Every setting of the site as JSON, for the record."""
-    return SITES[wildcards.site].settings.model_dump_json()
-
-
 def complete_steps():
-    """Give each step what follows from its name: its sources; of a site's, log and benchmark file.
+    """Give each step what follows from its name: its sources, and its log and benchmark file.
 
-    Plans, rounds, sensors and shards are folders of both, as in the path of the first output.
+    Plans, rounds, sensors and shards are folders of both, as in the path of the first output. A
+    step that names its log itself has the benchmark file of the same name.
     """
     unmoved = workflow.modifier.path_modifier
     for step in workflow.rules:
@@ -524,12 +459,13 @@ def complete_steps():
             continue
         if "code" not in step.input.keys():
             step.set_input(code=sources(step.name))
-        if step.log:
-            continue
-        parts = Path(strip_wildcard_constraints(step.output[0])).parts[2:]
-        folders = [part.partition(".")[0] for part in parts if "{" in part and "{site}" not in part]
-        step.set_log(str(Path("logs/{site}", *folders, f"{step.name}.log")))
-        step.benchmark = str(Path("results/{site}/benchmarks", *folders, f"{step.name}.tsv"))
+        if not step.log:
+            _, place, *parts = Path(strip_wildcard_constraints(step.output[0])).parts
+            varied = [part for part in parts if "{" in part.replace("{site}", "")]
+            folders = [part.partition(".")[0] for part in varied]
+            step.set_log(str(Path("logs", place, *folders, f"{step.name}.log")))
+        _, *folders, name = Path(step.log[0]).with_suffix(".tsv").parts
+        step.benchmark = str(Path("results", *folders[:1], "benchmarks", *folders[1:], name))
 
 
 def state_parameters():
@@ -544,3 +480,20 @@ def state_parameters():
             function = getattr(file, "callable", None) or file
             if inspect.isfunction(function):
                 function.__signature__ = inspect.signature(function)
+
+
+# One line runs every stage. No step by itself.
+rule step:
+    conda:
+        ENVIRONMENT
+    params:
+        command=command,
+        settings="",
+    shell:
+        STEP
+
+
+# Steps that send rays, or hold all surfels.
+use rule step as step_on_surfels with:
+    resources:
+        **holding_cloud(250),

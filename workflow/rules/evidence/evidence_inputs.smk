@@ -1,6 +1,8 @@
-"""Helpers of the evidence rules: studies, their levels and the sites that they start from."""
+"""Helpers of the evidence rules: studies, audits, and the sites that they start from."""
 
+from roadsight.evidence import paper
 from roadsight.evidence.metrics import METRICS
+from roadsight.evidence.studies import load_overrides
 
 STUDIES = TRADEOFFS.studies
 
@@ -9,6 +11,8 @@ wildcard_constraints:
     study="|".join(map(re.escape, STUDIES)),
     level=r"\d+",
     job="placement|poles",
+    size="short|long",
+    run=r"[a-z0-9_]+-[a-z0-9_]+",
 
 
 def told_doubts(wildcards):
@@ -16,78 +20,58 @@ def told_doubts(wildcards):
     given = given_lists(wildcards)
     matched = [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
     told = [rules.build_dem.output.doubts]
-    if has_scene_page(wildcards.site) or pavement_for_poles(wildcards.site):
+    pavement_for_poles = wants(wildcards.site, "poles") and not has_classes(wildcards)
+    if has_scene_page(wildcards.site) or pavement_for_poles:
         told.append(rules.extract_pavement.output.doubts)
     if wants(wildcards.site, "poles"):
         told += [rules.profile_drive.output.doubts]
         told += [rules.triangulate_poles.output.doubts, rules.rate_hazard.output.doubts]
-        told += [rules.calibrate_drive.output.doubts] if calibration_if_aligned(wildcards) else []
+        told += [rules.calibrate_drive.output.doubts] if aligns(wildcards) else []
     scene = [file.format(site=wildcards.site) for file in told]
     return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
 
 
-def pavement_for_poles(site):
-    """Whether the poles of a site take the pavement for the road."""
-    return wants(site, "poles") and SITES[site].site.poles.road != "classes"
-
-
 def given_lists(wildcards):
     """Lists that the user gave, of places, of images and folders, as `match_inputs` takes them."""
-    resolved = SITES[wildcards.site]
-    site, poles, found = resolved.site, resolved.site.poles, []
+    resolved, plans = SITES[wildcards.site], plans_of(wildcards.site).values()
+    site, own, truth, poles = attrgetter("site", "site.placement", "site.truth", "site.poles")(
+        resolved
+    )
 
-    def add(kind, what, path, crs=None):
-        found.append(dict(kind=kind, what=what, path=path, crs=crs))
+    def named(what, path, crs=None, kind="places"):
+        return kind, what, None if path in (None, "sample") else resolved.layered(path), crs
 
-    def add_named(kind, what, path, crs=None):
-        if path is not None and path != "sample":
-            add(kind, what, resolved.layered(path), crs)
-
+    rows = []
     if has_scene_page(wildcards.site):
-        add_named("picture", "orthophoto", site.orthophoto)
-        own = site.placement
-        for what, path, crs in (
-            ("edges", own.edges, own.edges_crs),
-            ("polygons of the monitored area", own.tma, None),
-            ("zones", own.zones, None),
-            ("existing poles", own.mounts, None),
-            ("cabinets", own.cabinets, None),
-            ("known polygons", site.truth.pavement, site.truth.pavement_crs),
+        rows += [
+            named("orthophoto", site.orthophoto, kind="picture"),
+            named("edges", own.edges, own.edges_crs),
+            named("polygons of the monitored area", own.tma),
+            named("zones", own.zones),
+            named("existing poles", own.mounts),
+            named("cabinets", own.cabinets),
+            named("known polygons", truth.pavement, truth.pavement_crs),
+        ]
+    for plan in plans if wants(wildcards.site, "placement") else []:
+        for what, features in (
+            ("areas", plan.areas),
+            ("forbidden places", plan.forbidden),
+            ("mandatory places", plan.mandatory),
+            ("poles of the plan", plan.poles),
         ):
-            add_named("places", what, path, crs)
-    if wants(wildcards.site, "placement"):
-        for plan in plans_of(wildcards.site).values():
-            for option, what in PLAN_LISTS.items():
-                features = getattr(plan, option)
-                if features is not None:
-                    add("places", what, features.file, features.crs)
+            rows += [("places", what, features.file, features.crs)] if features is not None else []
     if wants(wildcards.site, "poles") and not site.sample:
-        truth = site.truth
-        add_named("places", "known poles", truth.poles, truth.poles_crs)
-        add_named("places", "barriers", site.roads.barriers, site.roads.barriers_crs)
-        for what, path in (
-            ("corrections", poles.corrections),
-            ("given cameras", poles.cameras),
-            ("known cameras", truth.cameras),
-        ):
-            add_named("images", what, path)
-        for path in named_folders(resolved, "masks"):
-            add("folder", "label images", path)
-        for path in named_folders(resolved, "depth"):
-            add("folder", "depth images", path)
+        rows += [
+            named("known poles", truth.poles, truth.poles_crs),
+            named("barriers", site.roads.barriers, site.roads.barriers_crs),
+            named("corrections", poles.corrections, kind="images"),
+            named("given cameras", poles.cameras, kind="images"),
+            named("known cameras", truth.cameras, kind="images"),
+            *(("folder", "label images", file, None) for file in named_folders(resolved, "masks")),
+            *(("folder", "depth images", file, None) for file in named_folders(resolved, "depth")),
+        ]
+    found = [dict(zip(("kind", "what", "path", "crs"), row)) for row in rows if row[2] is not None]
     return list({(one["kind"], one["path"]): one for one in found}.values())
-
-
-PLAN_LISTS = {
-    "areas": "areas",
-    "forbidden": "forbidden places",
-    "mandatory": "mandatory places",
-    "poles": "poles of the plan",
-}
-
-
-def lists_json(wildcards):
-    return json.dumps(given_lists(wildcards))
 
 
 def listed_files(wildcards):
@@ -111,21 +95,15 @@ def frames_of_lists(wildcards):
     if all(one["kind"] in ("places", "picture") for one in lists):
         return []
     await_profile("side_views", wildcards)
-    return [pole_frames(wildcards)]
+    return [f"results/{wildcards.site}/poles/frames.parquet"]
+
+
+def study_of(wildcards):
+    return STUDIES[wildcards.study]
 
 
 def level_name(wildcards):
-    return list(STUDIES[wildcards.study].levels)[int(wildcards.level)]
-
-
-def changes_of_level(wildcards):
-    study = STUDIES[wildcards.study]
-    return clearly(study.changes, level_name(wildcards))
-
-
-def plan_of_level(wildcards):
-    """Plan of a level; empty: the site's first."""
-    return STUDIES[wildcards.study].plan(level_name(wildcards))
+    return list(study_of(wildcards).levels)[int(wildcards.level)]
 
 
 @lru_cache(maxsize=None)
@@ -139,12 +117,13 @@ def site_of_job(job):
     return site_named(TRADEOFFS.sites[job])
 
 
-def site_of_study(wildcards):
-    return site_named(TRADEOFFS.site_of(STUDIES[wildcards.study]))
-
-
-def config_of_study(wildcards):
-    return config_of_site(TRADEOFFS.site_of(STUDIES[wildcards.study]))
+def at_base(function):
+    """A function of a site file for a rule: of the one that a study, or a job's, starts from."""
+    return lambda wildcards: function(
+        TRADEOFFS.site_of(study_of(wildcards))
+        if "study" in wildcards.keys()
+        else TRADEOFFS.sites[wildcards.job]
+    )
 
 
 def config_of_site(site):
@@ -172,27 +151,57 @@ def base_at(file):
     return [f"results/{site_named(file)}/{target}" for target in targets_at(file)]
 
 
-def base_of_study(wildcards):
-    return base_at(TRADEOFFS.site_of(STUDIES[wildcards.study]))
-
-
-def measured_jobs():
-    """Jobs that have studies."""
-    return list(dict.fromkeys(study.job for study in STUDIES.values()))
-
-
-def base_costs():
-    return [f"results/tradeoffs/base/{job}.json" for job in measured_jobs()]
-
-
-def measured_levels():
+def audited_sites(job):
+    """Sites that ask for an audit of a job."""
     return [
-        f"results/tradeoffs/levels/{name}-{level}.json"
-        for name, study in STUDIES.items()
-        for level in range(len(study.levels))
+        site
+        for site, resolved in SITES.items()
+        if resolved.settings.effects == "audit" and wants(site, job)
     ]
 
 
-def measured_length_km():
-    """Length of the road of the pole job's site."""
-    return SITES[site_of_job("poles")].site.sample.length_m / 1000
+def config_of_audit(wildcards):
+    """The configuration with the audited site and plan alone."""
+    plans = list(plans_of(wildcards.site))[:1]
+    changes = {"sites": [str(SITES[wildcards.site].file)], "plans": plans}
+    return CONFIG.model_copy(update=changes).model_dump_json()
+
+
+# A site has no choice about poses that nobody gives.
+effects_of_one_way = where(site_field("poles.cameras"))("", "--leave-out road_alignment")
+
+
+def audited_plan(wildcards):
+    return next(iter(plans_of(wildcards.site)))
+
+
+def run_of_paper(wildcards):
+    return paper.runs(wildcards.size)[wildcards.run]
+
+
+def site_of_paper(wildcards):
+    return paper.site_name(run_of_paper(wildcards).site, wildcards.size)
+
+
+def base_of_paper(wildcards):
+    """What the default run of a site makes; the other runs share it."""
+    runs = paper.runs(wildcards.size)
+    default = runs[f"{runs[wildcards.run].site}-default"]
+    return [f"results/{site_of_paper(wildcards)}/{target}" for target in default.targets]
+
+
+def config_of_paper(wildcards):
+    """The configuration with this site alone, whatever this run asks for."""
+    file = paper.site_file(run_of_paper(wildcards).site, wildcards.size)
+    return OWN_PLANS.model_copy(update={"sites": [file]}).model_dump_json()
+
+
+def changes_of_paper(wildcards):
+    """Settings of the published studies where the run has them, then the run's own."""
+    run = run_of_paper(wildcards)
+    named = clearly(load_overrides, paper.PUBLISHED_FILE) if run.published else {}
+    return merged(named, run.changes)
+
+
+def runs_of_paper(wildcards):
+    return [f"results/paper/runs/{wildcards.size}/{run}.json" for run in paper.runs(wildcards.size)]

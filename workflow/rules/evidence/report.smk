@@ -1,10 +1,4 @@
-"""What people and checks read: a summary of each site and one report page.
-
-REQUIRED INPUTS  everything a site's jobs produced
-OUTPUTS          results/{site}/summary.json, results/{site}/run.json (date, code and times),
-                 results/{site}/report.pdf, results/report.html,
-                 results/{site}/gis/: {site}.gpkg, .qgs, .kml, .dxf; results/{site}/stakeout.csv
-"""
+"""What people and checks read: a summary of each site and one report page."""
 
 
 use rule step as match_inputs with:
@@ -16,10 +10,8 @@ use rule step as match_inputs with:
         doubts="results/{site}/doubts/match_inputs.json",
     params:
         settings=told(
-            views=lambda wildcards: (
-                used_views(wildcards) if frames_of_lists(wildcards) else ["front"]
-            ),
-            lists=lists_json,
+            views=where(frames_of_lists)(used_views, ["front"]),
+            lists=lambda wildcards: json.dumps(given_lists(wildcards)),
         ),
         images_sha256=listed_images,
 
@@ -40,11 +32,11 @@ use rule step as summarise_site with:
         camera_scores=camera_scores,
         coverage=placement_only(last_coverage),
         pavement=scene_page_only([rules.extract_pavement.output.points]),
-        solutions=placement_only(plan_solutions),
-        timings=placement_only(plan_timings),
-        data=placement_only(plan_data),
-        tolerances=placement_only(plan_tolerances),
-        removals=placement_only(plan_removals),
+        solutions=placement_only(per_plan("solution.json")),
+        timings=placement_only(per_plan("timing.json")),
+        data=placement_only(per_plan("data.json")),
+        tolerances=placement_only(per_plan("tolerance.json")),
+        removals=placement_only(per_plan("removals.json")),
         doubts=told_doubts,
     output:
         out="results/{site}/summary.json",
@@ -54,8 +46,8 @@ use rule step as summarise_site with:
             benchmarks="results/{site}/benchmarks",
             site=wildcard("site"),
             seed=setting("seed"),
-            settings=all_settings,
-            sensors=site_sensors_json,
+            settings=lambda wildcards: SITES[wildcards.site].settings.model_dump_json(),
+            sensors=lambda wildcards: json.dumps(site_sensors(wildcards), sort_keys=True),
         ),
 
 
@@ -73,21 +65,22 @@ use rule step as write_site_page with:
         candidates=placement_only(all_candidates),
         detections=placement_only(all_detections),
         coverage=placement_only(last_coverage),
-        solutions=placement_only(plan_solutions),
-        layers=placement_only(plan_layers),
-        tolerances=placement_only(plan_tolerance_layers),
-        obstacles=placement_only(plan_obstacles),
-        scans=placement_only(plan_scans),
+        solutions=placement_only(per_plan("solution.json")),
+        layers=placement_only(per_plan("solution.gpkg")),
+        tolerances=placement_only(per_plan("tolerance.gpkg")),
+        obstacles=placement_only(per_plan("obstacles.gpkg")),
+        scans=placement_only(per_plan("scans.laz")),
     output:
         out="results/{site}/page.json",
     resources:
-        mem_mb=megabytes(100),
-        runtime=minutes(),
+        **holding_cloud(100),
     params:
         settings=told(
             site=wildcard("site"),
             title=site_field("title"),
-            plans=plan_titles,
+            plans=lambda wildcards: [
+                f"{n}={p.title}" for n, p in plans_of(wildcards.site).items()
+            ],
             sensors=CONFIG.sensors_file,
         ),
         sensors=site_sensors,
@@ -95,17 +88,15 @@ use rule step as write_site_page with:
 
 use rule step as write_report with:
     input:
-        pages=site_pages(),
-        poles_pages=pole_pages(),
-        runs=site_runs(),
+        pages=asked(["results/{site}/page.json"], "scene", "placement"),
+        poles_pages=asked(["results/{site}/poles/page.json"], "poles"),
+        runs=asked(["results/{site}/run.json"]),
         handed_over_files=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
     output:
         out="results/report.html",
     log:
         "logs/write_report.log",
-    benchmark:
-        "results/benchmarks/write_report.tsv"
     params:
         settings=told(evidence=evidence_pages()),
 
@@ -129,9 +120,9 @@ use rule step as write_handover with:
         pavement=scene_page_only([rules.extract_pavement.output.pavement]),
         edges=scene_page_only([rules.build_edges.output.out]),
         unexamined=placement_only(rules.place_targets.output.unexamined),
-        solutions=placement_only(plan_solutions),
-        plan_layers=placement_only(plan_layers),
-        obstacles=placement_only(plan_obstacles),
+        solutions=placement_only(per_plan("solution.json")),
+        plan_layers=placement_only(per_plan("solution.gpkg")),
+        obstacles=placement_only(per_plan("obstacles.gpkg")),
         poles=poles_only([rules.rate_hazard.output.layers]),
         road_edges=poles_only([rules.extract_road_edges.output.lines]),
     output:
@@ -151,7 +142,7 @@ use rule step as write_stakeout with:
     input:
         frame=rules.ingest_cloud.output.frame,
         edges=rules.build_edges.output.out,
-        solutions=plan_solutions,
+        solutions=per_plan("solution.json"),
     output:
         out="results/{site}/stakeout.csv",
 
@@ -173,7 +164,13 @@ use rule step as write_poles_page with:
         poles=rules.triangulate_poles.output.poles,
         hazard=rules.rate_hazard.output.out,
         sections=rules.rate_hazard.output.sections,
-        files=pole_files,
+        files=[
+            *expand(
+                "results/{{site}}/poles/poles.{kind}", kind=["parquet", "gpkg", "csv", "geojson"]
+            ),
+            "results/{site}/poles/hazard.csv",
+            "results/{site}/poles/road_geometry.csv",
+        ],
         validation=pole_validation,
         components=compared_components,
         drive=only_if("lens_distortion", rules.profile_drive.output.out),
@@ -187,4 +184,38 @@ use rule step as write_poles_page with:
             title=site_field("title"),
             images=images_path,
             lenses=given_lenses,
+        ),
+
+
+# What each component of the pole job is worth.
+use rule step as compare_components with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=all_image_edges,
+        pole_axes=if_landmarks(all_pole_axes),
+        matches=if_ties(all_matches),
+        baseline=registered_cameras,
+        masks=all_masks,
+        depth=all_depths,
+        road_edges=rules.extract_road_edges.output.edges,
+        columns=rules.find_pole_columns.output.out,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+        decided=after_profile("sight_curvature", "side_views", "grid_convergence"),
+        voxels=rules.rasterise_lidar.output.voxels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        truth_files=known_poles,
+    output:
+        out="results/{site}/poles/components.json",
+    params:
+        settings=told(
+            settings=settings_of(
+                "calibration", "alignment", "sightings", "triangulation", "validation"
+            ),
+            views=used_views,
+            curvature=decision_on("sight_curvature"),
+            grid_convergence=decision_on("grid_convergence"),
+            truth=layered_site("truth.poles", known_poles),
+            truth_crs=site_field("truth.poles_crs"),
+            truth_kind=known_pole_kind,
         ),

@@ -1,8 +1,4 @@
-"""The optimal set of each plan, and what stands in its way.
-
-REQUIRED INPUTS  results/{site}/placement/: targets, candidates, detections and coverage of all rounds
-OUTPUTS          results/{site}/placement/{plan}/: solution, obstacles, scans of the chosen sensors
-"""
+"""The optimal set of each plan, and what stands in its way."""
 
 
 use rule step as solve_cover with:
@@ -12,7 +8,7 @@ use rule step as solve_cover with:
         candidates=all_candidates,
         detections=plan_detections,
         frame=rules.ingest_cloud.output.frame,
-        lanes=lanes_of_plan,
+        lanes=past_traffic(placement_effect("moving_vehicles", "lanes.parquet")),
         areas_files=plan_file("areas"),
         forbidden_files=plan_file("forbidden"),
         mandatory_files=plan_file("mandatory"),
@@ -24,7 +20,7 @@ use rule step as solve_cover with:
         tilts=if_robust(only_if("mount_tilt", tilts_of_all_rounds)),
         air=if_robust(air_of_site),
         reflectivity=if_robust(placement_effect("reflectivity", "reflectivity.json")),
-        code=sources_with("solve_cover", engine_of_cover),
+        code=sources_with("solve_cover", if_robust(setting("lidar.engine"))),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
@@ -33,15 +29,17 @@ use rule step as solve_cover with:
     params:
         settings=told(
             "cover",
-            plan_availability,
-            robust_arguments,
+            past_traffic(
+                lambda wildcards: f"--availability {plan_of(wildcards).availability!r}", ""
+            ),
+            if_robust(robust_arguments, ""),
             site=wildcard("site"),
             plan=wildcard("plan"),
             sensors=plan_costs,
             target_height_m=target_height,
             uncoverable=setting("coverage.uncoverable"),
             seed=setting("seed"),
-            options=plan_options,
+            options=lambda wildcards: plan_of(wildcards).options(),
             areas=layered_plan_file("areas"),
             forbidden=layered_plan_file("forbidden"),
             mandatory=layered_plan_file("mandatory"),
@@ -52,7 +50,7 @@ use rule step as solve_cover with:
         ),
 
 
-use rule step as find_obstacles with:
+use rule step_on_surfels as find_obstacles with:
     input:
         solution=rules.solve_cover.output.solution,
         coverage=last_coverage,
@@ -76,12 +74,9 @@ use rule step as find_obstacles with:
         code=sources_with("find_obstacles", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/obstacles.gpkg",
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
     params:
         settings=told(
-            cell_arguments,
+            if_cells(cell_arguments, ""),
             plan=wildcard("plan"),
             sensors=CONFIG.sensors_file,
             zones=layered_site("placement.zones"),
@@ -93,7 +88,7 @@ use rule step as find_obstacles with:
         sensors=plan_costs,
 
 
-use rule step as render_scans with:
+use rule step_on_surfels as render_scans with:
     input:
         solution=rules.solve_cover.output.solution,
         surfels=seen_surfels,
@@ -104,15 +99,12 @@ use rule step as render_scans with:
         code=sources_with("render_scans", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/scans.laz",
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
     params:
         settings=told(sensors=CONFIG.sensors_file, engine=setting("lidar.engine")),
         sensors=plan_costs,
 
 
-use rule step as measure_data with:
+use rule step_on_surfels as measure_data with:
     input:
         solution=rules.solve_cover.output.solution,
         targets=rules.place_targets.output.out,
@@ -130,9 +122,6 @@ use rule step as measure_data with:
     output:
         out="results/{site}/placement/{plan}/data.json",
         layers="results/{site}/placement/{plan}/data.gpkg",
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
     params:
         settings=told(
             target_box,
@@ -149,7 +138,7 @@ use rule step as measure_data with:
         sensors=plan_costs,
 
 
-use rule step as measure_tolerance with:
+use rule step_on_surfels as measure_tolerance with:
     input:
         solution=rules.solve_cover.output.solution,
         targets=rules.place_targets.output.out,
@@ -164,9 +153,6 @@ use rule step as measure_tolerance with:
     output:
         out="results/{site}/placement/{plan}/tolerance.json",
         layers="results/{site}/placement/{plan}/tolerance.gpkg",
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
     params:
         settings=told(
             change_arguments,
@@ -177,7 +163,7 @@ use rule step as measure_tolerance with:
         sensors=site_sensors_seeing,
 
 
-use rule step as try_removals with:
+use rule step_on_surfels as try_removals with:
     input:
         solution=rules.solve_cover.output.solution,
         obstacles=rules.find_obstacles.output.out,
@@ -196,9 +182,6 @@ use rule step as try_removals with:
         code=sources_with("try_removals", setting("lidar.engine")),
     output:
         out="results/{site}/placement/{plan}/removals.json",
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
     params:
         settings=told(
             change_arguments,

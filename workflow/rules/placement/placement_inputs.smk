@@ -1,14 +1,21 @@
-"""Helpers of the placement rules: plans, sensors, rounds and shards."""
+"""Helpers of the placement rules: plans, sensors, rounds and shards, targets, poses."""
 
 from roadsight.base.section import check_path
 from roadsight.placement.sensors.light import wavelength_nm
-from roadsight.placement.sensors.sensors import what_it_sees
+from roadsight.placement.sensors.poses import AS_MOUNTED, turns_of
+from roadsight.placement.sensors.sensors import AimedSensor, panorama_name, what_it_sees
+from roadsight.placement.sight.kinds import Box, room_for, shape_of
+from roadsight.placement.sight.probability import Curve
 
 TILTS_OF_ROUND = "results/{site}/placement/round-{round}/tilts.parquet"
 
 
 def plans_of(site):
     return SITES[site].plans
+
+
+def plan_of(wildcards):
+    return plans_of(wildcards.site)[wildcards.plan]
 
 
 def sensors_of(site):
@@ -18,21 +25,16 @@ def sensors_of(site):
 
 def mounting_rules(wildcards):
     """Rules of mounting as JSON."""
-    rules = SITES[wildcards.site].settings.mounting
-    return rules.model_dump_json()
+    return SITES[wildcards.site].settings.mounting.model_dump_json()
 
 
-def in_last_round(value, otherwise=()):
-    """What only the last coverage check looks at: zones and rules come after all detections.
+@where
+def in_last_round(wildcards):
+    """Only the last coverage check looks at zones and rules: they come after all detections.
 
     Rounds before it find gaps of all candidates, so that a zone renders nothing.
     """
-
-    def found(wildcards):
-        last = rounds_of(wildcards.site)[-1]
-        return value(wildcards) if int(wildcards.round) == last else otherwise or []
-
-    return found
+    return int(wildcards.round) == rounds_of(wildcards.site)[-1]
 
 
 def placement_results():
@@ -60,46 +62,22 @@ def shards_in(site, round_number):
     return settings.shards if round_number == 0 else settings.coverage.shards
 
 
-def shard_count(wildcards):
-    return shards_in(wildcards.site, int(wildcards.round))
-
-
 def candidates_in(site, rounds):
     return [f"results/{site}/placement/round-{number}/candidates.parquet" for number in rounds]
 
 
 def detections_in(site, rounds, sensors):
     return [
-        f"results/{site}/placement/round-{number}/{detections_folder(site, sensor)}/{shard}.parquet"
+        f"results/{site}/placement/round-{number}/{kind}/{sensor}/{shard}.parquet"
         for number in rounds
         for sensor in sensors
+        for kind in ["poses" if is_posed(site, sensor) else "detection"]
         for shard in range(shards_in(site, number))
     ]
 
 
-def detections_folder(site, sensor):
-    return f"poses/{sensor}" if is_posed(site, sensor) else f"detection/{sensor}"
-
-
-def candidates_up_to_round(wildcards):
-    return candidates_in(wildcards.site, range(int(wildcards.round) + 1))
-
-
-def candidates_of_previous_rounds(wildcards):
-    return candidates_in(wildcards.site, range(int(wildcards.round)))
-
-
-def coverage_of_previous_round(wildcards):
-    return f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
-
-
-def detections_up_to_round(wildcards):
-    rounds = range(int(wildcards.round) + 1)
-    return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
-
-
-def all_candidates(wildcards):
-    return candidates_in(wildcards.site, rounds_of(wildcards.site))
+all_candidates = of_site(lambda site: candidates_in(site, rounds_of(site)))
+all_detections = of_site(lambda site: detections_in(site, rounds_of(site), sensors_of(site)))
 
 
 def last_coverage(wildcards):
@@ -108,16 +86,14 @@ def last_coverage(wildcards):
 
 
 def plan_detections(wildcards):
-    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
-    return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
+    return detections_in(wildcards.site, rounds_of(wildcards.site), plan_of(wildcards).sensors)
 
 
 def plan_depth_maps(wildcards):
     """Depth maps of all rounds by which the plan's sensors are judged."""
     site = wildcards.site
     maps = [
-        panorama_of(site) if is_posed(site, name) else name
-        for name in plans_of(site)[wildcards.plan].sensors
+        panorama_of(site) if is_posed(site, name) else name for name in plan_of(wildcards).sensors
     ]
     return [
         f"results/{site}/placement/round-{number}/depth/{name}/{shard}.parquet"
@@ -129,33 +105,19 @@ def plan_depth_maps(wildcards):
 
 def plan_costs(wildcards):
     """``name=cost`` of each sensor of the plan."""
-    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
-    return [f"{name}={SENSORS[name].cost!r}" for name in sensors]
-
-
-def plan_options(wildcards):
-    """Options of the plan as JSON, empty where it has none."""
-    return plans_of(wildcards.site)[wildcards.plan].options()
+    return [f"{name}={SENSORS[name].cost!r}" for name in plan_of(wildcards).sensors]
 
 
 def plan_file(option):
     """File that an option of the plan names, as a list of inputs."""
-
-    def files(wildcards):
-        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
-        return [] if found is None else with_companions(found)
-
-    return files
+    layered = layered_plan_file(option)
+    return lambda wildcards: [file for path in layered(wildcards) for file in with_companions(path)]
 
 
 def layered_plan_file(option):
     """The same as an argument: with the layer that the plan names."""
 
-    def files(wildcards):
-        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
-        return [] if found is None else [found]
-
-    return files
+    return lambda wildcards: list(filter(None, [plan_of(wildcards).file_of(option)]))
 
 
 def plan_sensors(wildcards):
@@ -169,17 +131,6 @@ def per_plan(file):
     ]
 
 
-plan_solutions = per_plan("solution.json")
-plan_layers = per_plan("solution.gpkg")
-plan_timings = per_plan("timing.json")
-plan_data = per_plan("data.json")
-plan_tolerances = per_plan("tolerance.json")
-plan_tolerance_layers = per_plan("tolerance.gpkg")
-plan_removals = per_plan("removals.json")
-plan_obstacles = per_plan("obstacles.gpkg")
-plan_scans = per_plan("scans.laz")
-
-
 def placement_doubts(wildcards):
     """Files in which the placement stages tell what their answers rest on."""
     folder = f"results/{wildcards.site}/doubts"
@@ -187,19 +138,9 @@ def placement_doubts(wildcards):
     return [f"{folder}/place_targets.json", *plans]
 
 
-def plan_titles(wildcards):
-    return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
-
-
-def all_detections(wildcards):
-    site = wildcards.site
-    return detections_in(site, rounds_of(site), sensors_of(site))
-
-
-def traffic_mask(wildcards):
-    """Points of passing vehicles, where the site asks to clear them."""
-    clear = SITES[wildcards.site].setting("lidar.clear_below_m") > 0
-    return [f"results/{wildcards.site}/scene/traffic.parquet"] if clear else []
+# Points of passing vehicles, where the site asks to clear them.
+if_cleared = where(lambda wildcards: setting("lidar.clear_below_m")(wildcards) > 0)
+traffic_mask = if_cleared(["results/{site}/scene/traffic.parquet"])
 
 
 def site_sensors(wildcards):
@@ -212,18 +153,9 @@ def site_sensors_seeing(wildcards):
     return {name: what_it_sees(SENSORS[name]) for name in sensors_of(wildcards.site)}
 
 
-def site_sensors_json(wildcards):
-    """Definitions of the site's sensors as JSON, for the record."""
-    return json.dumps(site_sensors(wildcards), sort_keys=True)
-
-
 def optical_names(wildcards):
     """The site's LiDARs and cameras, which weather blinds."""
     return [name for name in sensors_of(wildcards.site) if kind_of(name) != "radar"]
-
-
-def sensor_names(wildcards):
-    return sensors_of(wildcards.site)
 
 
 def sensor_wavelengths(wildcards):
@@ -254,11 +186,7 @@ def depth_network(wildcards):
     return [lidar.network]
 
 
-def tilts_of_all_rounds(wildcards):
-    return [
-        f"results/{wildcards.site}/placement/round-{number}/tilts.parquet"
-        for number in rounds_of(wildcards.site)
-    ]
+tilts_of_all_rounds = of_site(lambda s: expand(TILTS_OF_ROUND, site=s, round=rounds_of(s)))
 
 
 def placement_effect(effect, file):
@@ -266,17 +194,10 @@ def placement_effect(effect, file):
     return only_if(effect, [f"results/{{site}}/placement/effects/{file}"])
 
 
-def plan_availability(wildcards):
-    """Option of a plan whose sensors together must see targets so often."""
-    level = plans_of(wildcards.site)[wildcards.plan].availability
-    return "" if level is None else f"--availability {level!r}"
-
-
-def lanes_of_plan(wildcards):
-    """Lanes and their traffic, where the plan asks for a probability past it."""
-    if plans_of(wildcards.site)[wildcards.plan].availability is None:
-        return []
-    return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)
+# Of a plan whose sensors together must see targets so often.
+past_traffic = where(lambda wildcards: plan_of(wildcards).availability is not None)
+if_robust = where(lambda wildcards: plan_of(wildcards).robust is not None)
+if_cells = where(lambda wildcards: setting("obstacles.method")(wildcards) == "cells")
 
 
 def seen_surfels(wildcards):
@@ -294,14 +215,6 @@ def seen_surfels(wildcards):
     return f"results/{wildcards.site}/scene/surfels.parquet"
 
 
-def is_robust(wildcards):
-    """Whether the cover of a plan is to hold with tolerance."""
-    return plans_of(wildcards.site)[wildcards.plan].robust is not None
-
-
-if_robust = where(is_robust)
-
-
 def air_of_site(wildcards):
     """What rain and fog take out of beams, where they are simulated."""
     files = []
@@ -312,18 +225,8 @@ def air_of_site(wildcards):
     return files
 
 
-def by_cells(wildcards):
-    """Whether obstacles are found by cells, as in the first study."""
-    return setting("obstacles.method")(wildcards) == "cells"
-
-
-if_cells = where(by_cells)
-
-
 def cell_arguments(wildcards):
-    """Arguments of obstacles by cells; nothing for others."""
-    if not by_cells(wildcards):
-        return ""
+    """Arguments of obstacles by cells, as in the first study."""
     found = SITES[wildcards.site].settings
     if box_of(wildcards.site) is not None:
         refuse(
@@ -350,18 +253,9 @@ def change_arguments(wildcards):
     )
 
 
-def engine_of_cover(wildcards):
-    """Who sends rays for a cover that holds with tolerance; nobody for others."""
-    return setting("lidar.engine")(wildcards) if is_robust(wildcards) else ""
-
-
 def robust_arguments(wildcards):
-    """Arguments of a cover that holds with tolerance; nothing for others."""
-    if not is_robust(wildcards):
-        return ""
-    posed = [
-        s for s in plans_of(wildcards.site)[wildcards.plan].sensors if is_posed(wildcards.site, s)
-    ]
+    """Arguments of a cover that holds with tolerance."""
+    posed = [s for s in plan_of(wildcards).sensors if is_posed(wildcards.site, s)]
     if posed:
         refuse(
             "robust: tolerance is for spinning LiDARs as mounted",
@@ -374,3 +268,100 @@ def robust_arguments(wildcards):
         f" --curvature {decision_on('curvature_refraction')(wildcards)}"
     )
     return f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}"
+
+
+def box_of(site):
+    """The box that targets of a site are; None for cylinders."""
+    shape = shape_of(SITES[site].settings.targets.model_dump())
+    return shape if isinstance(shape, Box) else None
+
+
+def target_box(wildcards):
+    """Size of boxes as arguments; nothing for cylinders."""
+    box = box_of(wildcards.site)
+    return "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
+
+
+def target_room(wildcards):
+    """Radius and height about each target in which beams are cast."""
+    return list(room_for(shape_of(SITES[wildcards.site].settings.targets.model_dump())))
+
+
+def target_height(wildcards):
+    box = box_of(wildcards.site)
+    return setting("targets.height_m")(wildcards) if box is None else box.height_m
+
+
+def min_beams_of(site):
+    """More beams than this must return from a target of a site."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return targets.min_beams
+    return Curve(*targets.lidar_curve).needed(targets.min_probability) - 1
+
+
+def min_pixels_of(site):
+    """Pixels that cameras of a site need of a target; None: what their definitions say."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return None
+    return Curve(*targets.camera_curve).needed(targets.min_probability)
+
+
+def edges_of_targets(wildcards):
+    """Edges along which targets stand, where they are boxes, or that bound the road."""
+    site = SITES[wildcards.site].site
+    needed = box_of(wildcards.site) is not None or site.placement.edges is not None
+    return [f"results/{wildcards.site}/placement/edges.gpkg"] if needed else []
+
+
+def target_width(wildcards):
+    """Width of a target, whatever its kind: the lesser side of a box."""
+    box = box_of(wildcards.site)
+    targets = SITES[wildcards.site].settings.targets
+    return 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
+
+
+def kind_of(sensor):
+    return SENSORS[sensor].to_dict()["kind"]
+
+
+def is_posed(site, sensor):
+    """Whether a sensor is judged in poses: all aimed ones, and spinning ones that are turned."""
+    if isinstance(SENSORS[sensor], AimedSensor):
+        return True
+    grid = SITES[site].settings.poses.spinning
+    return turns_of(grid.yaw_deg, grid.pitch_deg, grid.roll_deg) != [AS_MOUNTED]
+
+
+@lru_cache(maxsize=None)
+def panorama_of(site):
+    """Name of the panorama that serves all posed sensors of a site."""
+    ranges = [SENSORS[s].range_m for s in sensors_of(site) if is_posed(site, s)]
+    return panorama_name(SITES[site].settings.poses.panorama_step_deg, max(ranges))
+
+
+def panorama_of_shard(wildcards):
+    folder = f"results/{wildcards.site}/placement/round-{wildcards.round}"
+    return f"{folder}/depth/{panorama_of(wildcards.site)}/{wildcards.shard}.parquet"
+
+
+def pose_angles(angle):
+    """Angles in which the rule's sensor is tried."""
+    return lambda wildcards: setting(f"poses.{kind_of(wildcards.sensor)}.{angle}")(wildcards)
+
+
+def criteria_of_sensor(wildcards):
+    """When the rule's sensor sees a target: what its kind asks, and nothing else."""
+    kind = kind_of(wildcards.sensor)
+    if kind == "radar":
+        return f"--rcs-m2 {setting('targets.rcs_m2')(wildcards)}"
+    if kind == "camera":
+        pixels = min_pixels_of(wildcards.site)
+        return "" if pixels is None else f"--min-pixels {pixels}"
+    return f"--min-beams {min_beams_of(wildcards.site)}"
+
+
+# What a sensor's depth map has, or else a panorama: its name says all about it, no sensor's
+# candidates limit it, it is never thinned, and levelled however the mount leans.
+of_map = where(lambda wildcards: wildcards.sensor in SENSORS)

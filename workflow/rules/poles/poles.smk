@@ -1,11 +1,119 @@
-"""From cameras and what their images show to poles on the map.
+"""From what images and cloud show to cameras, and to poles on the map."""
 
-REQUIRED INPUTS  results/{site}/poles/: frames, cameras, masks, depth, columns, voxels
-OUTPUTS          results/{site}/poles/: sightings, poles, hazard, validation, page
-USUAL STEPS      sightings, triangulation, hazard
-"""
+from roadsight.base.sections.poles import AlignmentLimits, Reach
 
 
+# What the cloud shows beside the road: pole-like columns; trees and guardrails, where asked for.
+use rule step as find_pole_columns with:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+    output:
+        out="results/{site}/poles/columns.parquet",
+    resources:
+        **holding_cloud(60),
+    params:
+        settings=told("columns"),
+
+
+use rule find_pole_columns as find_roadside_objects with:
+    output:
+        out="results/{site}/poles/objects.parquet",
+    params:
+        settings=told(flags("sightings", "kinds", "building_classes", "headwall_classes")),
+
+
+# Where the camera of every image stood: aligned with the road, or given. What it is aligned with is
+# the road and poles, in images and in the cloud, and all that photographs and the cloud share.
+ROAD_AND_POLES = dict(
+    frames=rules.read_videolog.output.out,
+    image_edges=all_image_edges,
+    road_edges=rules.extract_road_edges.output.edges,
+    frame=rules.ingest_cloud.output.frame,
+    dem=rules.build_dem.output.dem,
+    terrain=only_if("terrain_occlusion", rules.build_terrain.output.out),
+    decided=after_profile("sight_curvature"),
+    pole_axes=if_landmarks(all_pole_axes),
+    columns=if_landmarks([rules.find_pole_columns.output.out]),
+)
+PHOTOGRAPHS = dict(
+    cloud=if_dense([rules.ingest_cloud.output.cloud]),
+    photographs_files=if_dense(rendered_images),
+    masks=if_dense(all_masks),
+    drive=if_dense(distorting_drive),
+    intrinsics_files=intrinsics_file,
+)
+
+
+use rule step as calibrate_drive with:
+    input:
+        **ROAD_AND_POLES,
+        **{"matches": if_ties(all_matches), "baseline": registered_cameras},
+        **PHOTOGRAPHS,
+    output:
+        out="results/{site}/poles/calibration.json",
+        doubts="results/{site}/doubts/calibrate_drive.json",
+    resources:
+        mem_mb=camera_memory,
+    params:
+        settings=told(
+            "calibration",
+            flags("sightings", "left_yaw_deg", "right_yaw_deg"),
+            flags("alignment", Reach),
+            flags("alignment", "method"),
+            dense_options,
+            curvature=decision_on("sight_curvature"),
+        ),
+        images_sha256=if_dense(image_digest(), ""),
+
+
+use rule calibrate_drive as align_cameras with:
+    input:
+        **ROAD_AND_POLES,
+        **{"calibration": rules.calibrate_drive.output.out},
+        **PHOTOGRAPHS,
+    output:
+        out=non_empty("results/{site}/poles/cameras/{shard}.parquet"),
+    params:
+        settings=told(
+            dense_options,
+            flags("alignment", "method", Reach, AlignmentLimits),
+            corrections=corrections_file,
+            curvature=decision_on("sight_curvature"),
+            **ONE_SHARD,
+        ),
+        corrected=shard_corrections,
+
+
+use rule step as use_given_cameras with:
+    input:
+        frames=rules.read_videolog.output.out,
+        image_edges=rules.trace_image_edges.output.out,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        cameras=cameras_of_videolog,
+        intrinsics=intrinsics_file,
+    output:
+        out=non_empty("results/{site}/poles/given_cameras/{shard}.parquet"),
+    params:
+        settings=told(flags("alignment", Reach), **ONE_SHARD),
+
+
+use rule step as score_cameras with:
+    input:
+        cameras=all_cameras,
+        truth=known_cameras,
+        intrinsics=beside_site("truth.intrinsics"),
+        frame=rules.ingest_cloud.output.frame,
+        road_edges=rules.extract_road_edges.output.edges,
+    output:
+        errors="results/{site}/poles/camera_errors.parquet",
+        out="results/{site}/poles/camera_scores.json",
+
+
+# From cameras and what their images show to poles on the map.
 use rule step as turn_side_views with:
     input:
         frames=rules.read_videolog.output.out,
@@ -23,11 +131,11 @@ use rule step as turn_side_views with:
 use rule step as measure_poles with:
     input:
         frames=rules.read_videolog.output.out,
-        calibration=calibration_if_aligned,
+        calibration=if_aligned([rules.calibrate_drive.output.out]),
         turns=side_turns_if_used,
-        cameras=cameras_of_shard,
-        masks=without_distortion("masks"),
-        depth=without_distortion("depth"),
+        cameras=pole_shard(camera_folder, "parquet"),
+        masks=pole_shard(straight("masks"), "zip"),
+        depth=pole_shard(straight("depth"), "zip"),
         dem=rules.build_dem.output.dem,
         columns=rules.find_pole_columns.output.out,
         voxels=if_bearings([rules.rasterise_lidar.output.voxels]),
@@ -35,7 +143,7 @@ use rule step as measure_poles with:
         frame=rules.ingest_cloud.output.frame,
         decided=after_profile("side_views", "grid_convergence"),
     output:
-        out=ensure("results/{site}/poles/sightings/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/sightings/{shard}.parquet"),
         seen="results/{site}/poles/seen/{shard}.parquet",
         markings="results/{site}/poles/markings/{shard}.parquet",
     params:
@@ -44,8 +152,7 @@ use rule step as measure_poles with:
             flags("image_edges", "min_marking_px"),
             views=used_views,
             grid_convergence=decision_on("grid_convergence"),
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
 
 
@@ -56,7 +163,7 @@ use rule step as triangulate_poles with:
         dem=rules.build_dem.output.dem,
         voxels=rules.rasterise_lidar.output.voxels,
         objects=if_objects([rules.find_roadside_objects.output.out]),
-        seen=all_seen,
+        seen=pole_shards("seen", "parquet"),
         frames=rules.read_videolog.output.out,
         columns=rules.find_pole_columns.output.out,
         decisions=beside_site("poles.decisions"),
@@ -80,7 +187,7 @@ use rule step as rate_hazard with:
         cloud=rules.ingest_cloud.output.cloud,
         ground=rules.build_dem.output.ground,
         placed=rules.triangulate_poles.output.layers,
-        markings=all_markings,
+        markings=pole_shards("markings", "parquet"),
         inventory_files=beside_site("roads.inventory"),
         routes_files=beside_site("roads.routes"),
         barriers_files=beside_site("roads.barriers"),
@@ -113,7 +220,7 @@ use rule step as validate_poles with:
         poles=rules.triangulate_poles.output.poles,
         placed=rules.triangulate_poles.output.layers,
         truth_files=known_poles,
-        roadside=known_roadside,
+        roadside=if_rendered(["results/{site}/sample/truth.gpkg"]),
         frame=rules.ingest_cloud.output.frame,
         frames=rules.read_videolog.output.out,
         edges=rules.extract_road_edges.output.edges,

@@ -1,9 +1,4 @@
-"""What the images of a videolog show, shard by shard.
-
-REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, depth, image edges, pole axes,
-                 matches
-"""
+"""What the images of a videolog show, shard by shard."""
 
 from roadsight.base.sections.poles import PoleMasks
 
@@ -49,32 +44,23 @@ use rule step as segment_images with:
         models_files=mask_models,
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/masks/{shard}.zip", non_empty=True),
+        out=non_empty("results/{site}/poles/masks/{shard}.zip"),
     resources:
         mem_mb=each_attempt(2000),
     params:
-        settings=told(
-            mask_options,
-            "networks",
-            images=images_path,
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(mask_options, "networks", images=images_path, views=used_views, **ONE_SHARD),
         images_sha256=image_digest("masks"),
         models_sha256=models_digest(mask_models),
 
 
-use rule step as estimate_depth with:
+use rule segment_images as estimate_depth with:
     input:
         frames=rules.read_videolog.output.out,
         images_files=rendered_images,
         models_files=depth_models,
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/depth/{shard}.zip", non_empty=True),
-    resources:
-        mem_mb=each_attempt(2000),
+        out=non_empty("results/{site}/poles/depth/{shard}.zip"),
     params:
         settings=told(
             "networks",
@@ -82,8 +68,7 @@ use rule step as estimate_depth with:
             source=depth_source,
             folder_kind=depth_kind,
             views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
+            **ONE_SHARD,
         ),
         images_sha256=image_digest("depth"),
         models_sha256=models_digest(depth_models),
@@ -97,43 +82,32 @@ use rule step as undistort_views with:
         maps="results/{site}/poles/{kind}/{shard}.zip",
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/straight/{kind}/{shard}.zip", non_empty=True),
+        out=non_empty("results/{site}/poles/straight/{kind}/{shard}.zip"),
     wildcard_constraints:
         kind="masks|depth",
     params:
-        settings=told(
-            images=images_path,
-            lenses=given_lenses,
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(images=images_path, lenses=given_lenses, views=used_views, **ONE_SHARD),
 
 
 use rule step as trace_image_edges with:
     input:
         frames=rules.read_videolog.output.out,
-        masks=without_distortion("masks"),
+        masks=pole_shard(straight("masks"), "zip"),
     output:
-        out=ensure("results/{site}/poles/image_edges/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/image_edges/{shard}.parquet"),
     params:
-        settings=told("image_edges", shard=wildcard("shard"), shards=setting("shards")),
+        settings=told("image_edges", **ONE_SHARD),
 
 
 use rule step as trace_pole_axes with:
     input:
         frames=rules.read_videolog.output.out,
-        masks=without_distortion("masks"),
+        masks=pole_shard(straight("masks"), "zip"),
         decided=after_profile("side_views"),
     output:
-        out=ensure("results/{site}/poles/pole_axes/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/pole_axes/{shard}.parquet"),
     params:
-        settings=told(
-            flags("sightings", PoleMasks),
-            views=used_views,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(flags("sightings", PoleMasks), views=used_views, **ONE_SHARD),
 
 
 use rule step as match_images with:
@@ -142,12 +116,7 @@ use rule step as match_images with:
         images_files=rendered_images,
         drive=distorting_drive,
     output:
-        out=ensure("results/{site}/poles/matches/{shard}.parquet", non_empty=True),
+        out=non_empty("results/{site}/poles/matches/{shard}.parquet"),
     params:
-        settings=told(
-            images=images_path,
-            lenses=given_lenses,
-            shard=wildcard("shard"),
-            shards=setting("shards"),
-        ),
+        settings=told(images=images_path, lenses=given_lenses, **ONE_SHARD),
         images_sha256=image_digest(),

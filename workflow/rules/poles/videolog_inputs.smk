@@ -42,9 +42,8 @@ def rendered_images(wildcards):
 def videolog_shards(site, folders):
     resolved = SITES[site]
     table = resolved.beside(resolved.site.poles.videolog) or folders[0]
-    settings = resolved.settings
-    every = settings.videolog.every
-    return clearly(files_by_shard, table, list(folders), settings.shards, every)
+    shards, every = resolved.settings.shards, resolved.settings.videolog.every
+    return clearly(files_by_shard, table, list(folders), shards, every)
 
 
 def image_digest(*fields):
@@ -153,49 +152,10 @@ def depth_models(wildcards):
     return model_files([depth_source(wildcards)])
 
 
-def drive_profile(wildcards):
-    return f"results/{wildcards.site}/poles/drive.json"
-
-
 def used_views(wildcards):
     """Views that are looked at; its rule takes `after_profile` among its inputs."""
     skipped = decision_on("side_views")(wildcards) == "skip"
     return ["front"] if skipped else ["front", "left", "right"]
-
-
-def without_distortion(kind):
-    """Masks or depth of a shard: straightened ones where the lenses distort."""
-
-    def path(wildcards):
-        await_profile("lens_distortion", wildcards)
-        distorted = decided("lens_distortion", wildcards) == "simulate"
-        folder = f"straight/{kind}" if distorted else kind
-        return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.zip"
-
-    return path
-
-
-def distorting_drive(wildcards):
-    """Profile with the lenses, where they distort."""
-    await_profile("lens_distortion", wildcards)
-    distorted = decided("lens_distortion", wildcards) == "simulate"
-    return drive_profile(wildcards) if distorted else []
-
-
-def all_without_distortion(kind):
-    """The same of all shards."""
-
-    def paths(wildcards):
-        await_profile("lens_distortion", wildcards)
-        distorted = decided("lens_distortion", wildcards) == "simulate"
-        folder = f"straight/{kind}" if distorted else kind
-        return pole_shards(folder, "zip")(wildcards)
-
-    return paths
-
-
-all_masks = all_without_distortion("masks")
-all_depths = all_without_distortion("depth")
 
 
 def given_lenses(wildcards):

@@ -5,11 +5,6 @@ from roadsight.evidence.truth.catalogue import AREAS
 DATA = os.environ.get("ROADSIGHT_DATA", "")
 
 
-def truth_datasets(area):
-    """Pattern of the data sets of an area."""
-    return "|".join(map(re.escape, AREAS[area].datasets))
-
-
 def data_folder():
     """Folder of the real data; without one there is nothing to measure on."""
     if not DATA or not Path(DATA).is_dir():
@@ -23,22 +18,22 @@ def data_folder():
     return Path(DATA)
 
 
+def truth_data(area, wildcards):
+    return list(map(str, area.files(wildcards.dataset, data_folder())[0]))
+
+
 def truth_files(area):
     """Files of a data set: only their content can make figures stale."""
-    return lambda wildcards: ancient(
-        [str(p) for p in AREAS[area].files(wildcards.dataset, data_folder())[0]]
-    )
+    return lambda wildcards: ancient(truth_data(area, wildcards))
 
 
 def truth_checksums(area):
-    return lambda wildcards: [
-        CHECKSUMS.of(str(p)) for p in AREAS[area].files(wildcards.dataset, data_folder())[0]
-    ]
+    return lambda wildcards: list(map(CHECKSUMS.of, truth_data(area, wildcards)))
 
 
 def truth_missing(area):
     """Patterns of a data set that match no file; the table and the page say so."""
-    return lambda wildcards: AREAS[area].files(wildcards.dataset, data_folder())[1]
+    return lambda wildcards: area.files(wildcards.dataset, data_folder())[1]
 
 
 def truth_figures():

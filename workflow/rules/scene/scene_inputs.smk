@@ -1,11 +1,12 @@
-"""Decisions on effects: what they rest on, and what inputs and parameters they give to rules."""
+"""Helpers of the scene rules: decisions on effects, and which way to the pavement is taken."""
 
 from roadsight.effects.catalogue import load_catalogue, plan
 from roadsight.effects.quantities import SETTINGS, Circumstances
-from roadsight.io.records.atomic import read_json
 from roadsight.io.images.camera_tables import read_baselines
 from roadsight.io.images.videolog_files import posed_share
+from roadsight.io.records.atomic import read_json
 from roadsight.placement.sensors.sensors import define_sensor
+from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, MOST_SHARPENED, choose_method
 from snakemake.exceptions import IncompleteCheckpointException
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
@@ -58,10 +59,6 @@ def posed_share_of(resolved):
     return clearly(posed_share, table, images, resolved.beside(poles.cameras))
 
 
-def circumstances_json(wildcards):
-    return json.dumps(circumstances(wildcards.site), sort_keys=True)
-
-
 @lru_cache(maxsize=None)
 def decisions(site, job, files, changed):
     """Decision on each effect of a job at a site, from the content of what was measured."""
@@ -109,9 +106,7 @@ def only_if(effect, inputs):
 
     def needed(wildcards):
         await_profile(effect, wildcards)
-        if decided(effect, wildcards) == "skip":
-            return []
-        return inputs(wildcards) if callable(inputs) else inputs
+        return [] if decided(effect, wildcards) == "skip" else value_at(wildcards, inputs)
 
     return needed
 
@@ -160,11 +155,8 @@ def after_profile(*effects):
     """
 
     def waited(wildcards):
-        for effect in effects:
-            waiting = awaited(effect, wildcards)
-            if waiting is not None:
-                return [waiting.targetfile]
-        return []
+        first = next(filter(None, (awaited(effect, wildcards) for effect in effects)), None)
+        return [first.targetfile] if first else []
 
     return waited
 
@@ -179,3 +171,69 @@ def decision_on(effect):
         return decided(effect, wildcards) if known else "open"
 
     return decision
+
+
+def stated_method(wildcards):
+    """How a site's pavement is found where that is known when the rules are read, else auto."""
+    if SITES[wildcards.site].site.placement.tma is not None:  # nothing is looked for
+        return "user"
+    return SITES[wildcards.site].setting("pavement.method")
+
+
+def method_by_profile(wildcards):
+    """How it is found, by the profile that there is."""
+    stated = stated_method(wildcards)
+    if stated != "auto":
+        return stated
+    seeded = bool(SITES[wildcards.site].setting("pavement.seeds"))
+    profile = read_json(f"results/{wildcards.site}/scene/profile.json")
+    return clearly(choose_method, stated, seeded, profile).method
+
+
+def pavement_method(wildcards):
+    """The same for inputs: where the profile decides, they wait for it."""
+    if stated_method(wildcards) == "auto":
+        checkpoints.profile_scene.get(site=wildcards.site)
+    return method_by_profile(wildcards)
+
+
+def of_pavement(method, inputs):
+    """Inputs of one way to the pavement; nothing where it is found in another."""
+    return where(lambda wildcards: pavement_method(wildcards) == method)(inputs)
+
+
+def setting_of_pavement(method, value):
+    """A parameter that is empty where the pavement is found in another way."""
+
+    def used(wildcards):
+        # Before the profile is there this is never used: the rule waits for it and is asked again.
+        profile = f"results/{wildcards.site}/scene/profile.json"
+        if stated_method(wildcards) == "auto" and not os.path.exists(profile):
+            return "open"
+        return value(wildcards) if method_by_profile(wildcards) == method else ""
+
+    return used
+
+
+@where
+def if_profiled(wildcards):
+    """The profile tells which way to the pavement is chosen, or a surface is refused."""
+    return stated_method(wildcards) not in ("user", "published")
+
+
+def pavement_seeds(wildcards):
+    """Places on the road as ``x,y;x,y``."""
+    seeds = SITES[wildcards.site].setting("pavement.seeds")
+    return ";".join(f"{x!r},{y!r}" for x, y in seeds)
+
+
+def memory_of_pavement(wildcards, input, attempt):
+    """Memory to extract pavement: of a surface, with its cells; more with each attempt."""
+    published = megabytes(100)(wildcards, input, attempt)
+    profile = list(input.profile)
+    if not profile or not os.path.exists(profile[0]):
+        return published
+    east_m, north_m = read_json(profile[0])["extent_m"][:2]
+    most = MOST_SHARPENED if input.clusters else MOST_CELLS
+    cells = min(east_m * north_m / FINEST_M**2, most)
+    return published + int(attempt * (200 * million_points(input) + cells / 1e6 * 400))
