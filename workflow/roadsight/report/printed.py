@@ -16,11 +16,10 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.run_records import RunRecord
 from roadsight.report import wording
 from roadsight.report.document import cards_of, cautions_of, is_priced
+from roadsight.report.handover.styles import SEEN
 from roadsight.report.parameters import effect_rows, settings_asked_for
 from roadsight.report.poles.poles_view import poles_view
 from roadsight.report.printed_map import (
-    SEEN,
-    SEEN_LABELS,
     cloud_colours,
     legend,
     plan_map,
@@ -71,7 +70,7 @@ def paper_content(
         "map": "",
         "map_of": "",
         "poles": None,
-        "seen": [list(pair) for pair in zip(SEEN, SEEN_LABELS, strict=True)],
+        "seen": [[colour, by] for by, colour in SEEN.items()],
         "effects": effect_rows(about["summary"]["effects"]),
         "settings": [
             {"title": group.title, "rows": [[r.label, r.value, r.about] for r in group.rows]}
