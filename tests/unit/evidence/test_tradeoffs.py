@@ -338,10 +338,11 @@ def test_stages_are_compared_in_core_minutes_a_mile(project, monkeypatch):
 
 
 class TestPage:
-    def page(self, project, tmp_path, **changes):
+    def page(self, project, tmp_path, has_default=True, **changes):
         study = load(tmp_path, title="Cell <of> the DEM", **changes)
         measured = {"2": level(1.0, 0.3), "1": level(2.0, None), "0.5": level(4.0, 0.1)}
         rows = [{"study": "s", **row} for row in study_rows(study.studies["s"], measured)]
+        rows = [row | {"is_default": row["is_default"] and has_default} for row in rows]
         ways = {
             name: {
                 "coordinate_error_m": e,
@@ -364,6 +365,12 @@ class TestPage:
         assert html.count("<svg") == 3
         assert "default on the frontier" in html
         assert plain_table(rows).count("\n") == 2 + len(rows)
+
+    def test_rows_without_a_default_are_drawn_and_told(self, project, tmp_path):
+        _, html = self.page(project, tmp_path, has_default=False)
+        assert html.count("<svg") == 3
+        assert html.count(">no default row</span> There is no default row, so") == 1
+        assert html.count(">default on the frontier</span>") == 2
 
     def test_a_default_off_its_frontier_is_called_that(self, project, tmp_path):
         levels = {"a": 0.5, "b": 0.4}

@@ -34,7 +34,7 @@ from roadsight.report.handover.layers import (
 )
 from roadsight.report.handover.project import project
 from roadsight.report.handover.stakeout import stakeout
-from roadsight.report.handover.styles import Category, Style, qml
+from roadsight.report.handover.styles import SEEN, Category, Style, qml
 from roadsight.stages.evidence import write_handover, write_stakeout
 from roadsight.stages.evidence.write_handover import StyledLayer, write_styled
 from tests.helpers.report_site import PLANS, ReportSite
@@ -149,6 +149,8 @@ def test_each_layer_has_a_style_and_a_description(files):
     assert all(about[name].endswith(".") for name in names)
     for text in styles.values():
         assert ET.fromstring(text).find("renderer-v2/symbols/symbol/layer") is not None
+    targets = ET.fromstring(styles[f"targets_{next(iter(PLANS))}"]).iter("category")
+    assert [one.get("label") for one in targets] == [f"seen {by}" for by in SEEN]
 
 
 def test_edges_and_pavement_lie_on_the_ground(site, files):

@@ -197,6 +197,19 @@ def test_every_plan_and_setting_is_there(pages, tmp_path):
         assert caution["text"].split(".")[0][:20] in text.replace("\n", " ")
 
 
+def test_what_both_jobs_say_is_printed_once(pages, tmp_path):
+    page, poles_page = read_json(pages["page"]), read_json(pages["poles-page"])
+    said = {"level": "warning", "text": "The ground is noisy."}
+    both = {"page": page, "poles-page": poles_page}
+    for name, content in both.items():
+        content["cautions"].insert(0, said)
+        write_json(tmp_path / f"{name}.json", content)
+    found = {name: tmp_path / f"{name}.json" for name in both}
+    reader = printed(found, tmp_path / "both.pdf", *both)
+    text = " ".join(sheet.extract_text() for sheet in reader.pages)
+    assert text.count(said["text"]) == 1
+
+
 def test_poles_alone(pages, tmp_path):
     reader = printed(pages, tmp_path / "poles.pdf", "poles-page")
     text = " ".join(sheet.extract_text() for sheet in reader.pages)

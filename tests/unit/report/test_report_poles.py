@@ -257,9 +257,8 @@ class TestCautions:
         table = pd.DataFrame({"state": state})
         sightings = pd.DataFrame({"kept": [True] * kept})
         located = [{"sigma_major_m": sigma}] * poles
-        found = pole_cautions(table, sightings, located, validation)
-        warnings = [c.text for c in found if c.level == "warning"]
-        return " ".join(warnings), " ".join(c.text for c in found if c.level == "note")
+        warnings, notes = pole_cautions(table, sightings, located, validation)
+        return " ".join(warnings), " ".join(notes)
 
     def test_good_site_has_no_warning(self):
         validation = {"errors": [{}] * 12, "warnings": []}

@@ -13,6 +13,7 @@ from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.report.site.cautions import (
     data_cautions,
     is_proven,
+    page_cautions,
     plan_cautions,
     scene_cautions,
     told_cautions,
@@ -201,24 +202,22 @@ class TestProofs:
 
     def test_what_stages_told_is_a_caution(self):
         told = {"code": "few_matches", "severity": "doubt", "measured": 0.5, "limit": 0.8}
-        (caution,) = told_cautions([told | {"message": "only 1 of 2 zones lie at the site"}])
-        assert caution.level == "warning"
-        assert caution.text == "Only 1 of 2 zones lie at the site: 0.5 (limit 0.8)."
+        found = told_cautions([told | {"message": "only 1 of 2 zones lie at the site"}])
+        assert found == (["Only 1 of 2 zones lie at the site: 0.5 (limit 0.8)."], [])
 
     def test_unproven_plan_tells_its_bounds(self):
         (caution,) = plan_cautions([self.plan("A", proven=False, bound=5.5)])
-        assert caution.level == "warning"
-        assert "costs 7" in caution.text
-        assert "5.5" in caution.text
+        assert "costs 7" in caution
+        assert "5.5" in caution
 
     def test_what_holds_for_all_plans_is_said_once(self):
         (caution,) = plan_cautions([self.plan("A", gaps=[0] * 3), self.plan("B", gaps=[0] * 3)])
-        assert caution.text.startswith("All plans: no sensor sees 3 targets (1.5")
+        assert caution.startswith("All plans: no sensor sees 3 targets (1.5")
 
     def test_what_holds_for_some_plans_names_them(self):
         plans = [self.plan("A", gaps=[0]), self.plan("B"), self.plan("C", gaps=[0])]
         (caution,) = plan_cautions(plans)
-        assert caution.text.startswith("A, C: no sensor sees 1 target (")
+        assert caution.startswith("A, C: no sensor sees 1 target (")
 
 
 TRAFFIC = {"points": 400, "cleared_points": 100, "clear_below_m": 4.5}
@@ -234,14 +233,14 @@ class TestData:
 
     def test_each_shortage_is_named(self):
         few = data_cautions(40, 3, 400.0, SETTINGS)
-        texts = " ".join(caution.text for caution in few)
+        texts = " ".join(few)
         assert "Only 40 targets" in texts
         assert "Only 3 candidate positions" in texts
         assert "90" in texts
         assert "hatched on the map" in texts
         assert not data_cautions(500, 50, 2000.0, SETTINGS, 1990.0)
         (thin,) = data_cautions(500, 50, 2000.0, SETTINGS, 940.0)
-        assert "53" in thin.text
+        assert "53" in thin
 
     def test_pavement_of_no_area(self):
         assert data_cautions(500, 50, 0.0, SETTINGS) == []
@@ -251,9 +250,8 @@ class TestData:
         sensors = {"A": {"cost": 1.0}, "B": {"cost": 1.0}}
         notes = scene_cautions(frame, False, TRAFFIC, {"automatic"}, sensors)
         assert len(notes) == 6
-        assert "of the points were taken for passing vehicles" in notes[4].text
-        assert {note.level for note in notes} == {"note"}
-        assert notes[0].text == "Z assumed to be in feet."
+        assert "of the points were taken for passing vehicles" in notes[4]
+        assert notes[0] == "Z assumed to be in feet."
 
     def test_well_known_scene_needs_no_note(self):
         frame = {"crs_wkt": "PROJCRS[]", "notes": []}
@@ -277,8 +275,10 @@ def test_what_stages_told_is_said_once():
         {"code": "noisy_ground", "severity": "doubt", "message": "noisy ground"},
         {"code": "few_targets", "severity": "doubt", "message": "the page says this itself"},
     ]
-    (found,) = told_cautions([doubt | told for doubt in doubts])
-    assert (found.level, found.text) == ("warning", "Noisy ground: 0.4 (limit 0.9).")
+    warnings, notes = told_cautions([doubt | told for doubt in doubts])
+    assert page_cautions(warnings, notes) == [
+        {"level": "warning", "text": "Noisy ground: 0.4 (limit 0.9)."}
+    ]
 
 
 @pytest.mark.parametrize(
@@ -292,5 +292,5 @@ def test_what_stages_told_is_said_once():
 )
 def test_shares_are_told_as_percentages(message, measured, limit, told):
     doubt = {"code": "a", "severity": "note", "message": message}
-    (found,) = told_cautions([doubt | {"measured": measured, "limit": limit}])
-    assert found.text == f"{message[:1].upper()}{message[1:]}: {told}."
+    found = told_cautions([doubt | {"measured": measured, "limit": limit}])
+    assert found == ([], [f"{message[:1].upper()}{message[1:]}: {told}."])

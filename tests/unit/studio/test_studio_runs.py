@@ -119,6 +119,24 @@ def test_what_a_killed_run_leaves_is_told_and_removed_on_demand(runs, tmp_path):
         runs.unlock()
 
 
+def test_no_run_starts_while_a_lock_is_removed(runs, monkeypatch):
+    done = []
+    starting = threading.Thread(target=runs.start, args=(Order(),))
+
+    def remove(_):
+        starting.start()
+        starting.join(timeout=1)
+        done.append("removed")
+
+    monkeypatch.setattr("roadsight.studio.runs.lock_is_there", lambda _: True)
+    monkeypatch.setattr("roadsight.studio.runs.unlock", remove)
+    monkeypatch.setattr(Runs, "_check_free", lambda _: None)
+    monkeypatch.setattr(Runs, "_launch", lambda *_: done.append("started"))
+    runs.unlock()
+    starting.join()
+    assert done == ["removed", "started"]
+
+
 def within_s(limit_s, condition):
     end = time.monotonic() + limit_s
     while not condition() and time.monotonic() < end:

@@ -6,7 +6,7 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, RootModel, ValidationError
 
 from roadsight.base.errors import InputError, nearest
 
@@ -119,7 +119,7 @@ def _message(
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Valid keys of the section at ``location``."""
     for part in location:
-        field = model.model_fields.get(str(part))
+        field = model.model_fields.get("root" if issubclass(model, RootModel) else str(part))
         annotation = field.annotation if field else None
         options = getattr(annotation, "__args__", (annotation,))
         sections = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]

@@ -120,8 +120,6 @@ def _site(
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
     scene = {"plans": [], "sensors": {}, "sketch": ""} if page is None else _scene(page)
-    found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
-    found = [caution for number, caution in enumerate(found) if caution not in found[:number]]
     summary, frame = about["summary"], about["frame"]
     poles_data = None
     if poles_page is not None:  # what the poles' map and images draw
@@ -134,7 +132,7 @@ def _site(
         "scene": page is not None,
         "poles": poles,
         "cards": cards_of(page, poles_page),
-        "cautions": sorted(found, key=lambda caution: caution["level"] != "warning"),
+        "cautions": cautions_of(page, poles_page),
         "sections": _sections(page, poles, summary, files),
         "effects": effect_rows(summary["effects"]),
         **scene,
@@ -234,6 +232,13 @@ def embedded(content: Any) -> str:
 def css_text(text: str) -> str:
     """Text that is safe between the quotes of a style sheet, whatever it holds."""
     return "".join(c if c.isalnum() or c in " .,-+/:" else f"\\{ord(c):x} " for c in text)
+
+
+def cautions_of(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
+    """What limits a site's results, each once: warnings first."""
+    found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    once = [caution for number, caution in enumerate(found) if caution not in found[:number]]
+    return sorted(once, key=lambda caution: caution["level"] != "warning")
 
 
 def cards_of(page: _Page | None, poles_page: _Page | None) -> list[tuple[str, str, str]]:

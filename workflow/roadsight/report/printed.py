@@ -15,12 +15,11 @@ from roadsight.base.arrays import Bytes, Floats
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.run_records import RunRecord
 from roadsight.report import wording
-from roadsight.report.document import cards_of, is_priced
+from roadsight.report.document import cards_of, cautions_of, is_priced
+from roadsight.report.handover.styles import SEEN
 from roadsight.report.parameters import effect_rows, settings_asked_for
 from roadsight.report.poles.poles_view import poles_view
 from roadsight.report.printed_map import (
-    SEEN,
-    SEEN_LABELS,
     cloud_colours,
     legend,
     plan_map,
@@ -56,15 +55,13 @@ def paper_content(
     about = next(given for given in (page, poles_page) if given is not None)
     pictures: dict[str, bytes] = {}
     frame = about["frame"]
-    cautions = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
-    cautions.sort(key=lambda caution: caution["level"] != "warning")
     content = {
         "title": about["title"] or about["summary"]["site"],
         "site": about["summary"]["site"],
         "crs": frame["crs_name"],
         "points": wording.counted(frame["points"], "point"),
         "cards": [list(card) for card in cards_of(page, poles_page)],
-        "cautions": [[caution["level"], caution["text"]] for caution in cautions],
+        "cautions": [[one["level"], one["text"]] for one in cautions_of(page, poles_page)],
         "plans": [],
         "compared": [],
         "columns": [],
@@ -73,7 +70,7 @@ def paper_content(
         "map": "",
         "map_of": "",
         "poles": None,
-        "seen": [list(pair) for pair in zip(SEEN, SEEN_LABELS, strict=True)],
+        "seen": [[colour, by] for by, colour in SEEN.items()],
         "effects": effect_rows(about["summary"]["effects"]),
         "settings": [
             {"title": group.title, "rows": [[r.label, r.value, r.about] for r in group.rows]}

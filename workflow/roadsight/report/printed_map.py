@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats
+from roadsight.report.handover.styles import SEEN
 from roadsight.report.packing import unpack, unpack_points
 from roadsight.report.poles.poles_layers import LEVELS
 from roadsight.report.site.layers import UNKNOWN_HEIGHT
 
-# Targets that no sensor, one, two, and three or more sensors see
-SEEN = ("#dc2626", "#93c5fd", "#3b82f6", "#1e3a8a")
-SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
 SENSOR = "#b45309"
 _PAVEMENT = "#cbd5e1"
 _EDGE, _MEDIAN = "#0f172a", "#8a6d1f"
@@ -62,7 +60,7 @@ def plan_map(page: dict[str, Any], plan: dict[str, Any], width_mm: float, height
     drawing = _scene(page, np.vstack([targets[:, :2], sensors]), width_mm, height_mm)
     counts = np.minimum(times_seen(plan, len(targets)), len(SEEN) - 1)
     side_m = float(page["summary"]["settings"]["targets"]["cell_size_m"])
-    for number, colour in enumerate(SEEN):
+    for number, colour in enumerate(SEEN.values()):
         drawing.squares(targets[counts == number, :2], side_m, f'fill="{colour}"')
     for polygon in layers.get("unexamined", []):
         drawing.areas([_ring(ring) for ring in polygon], f'fill="url(#{HATCH})"')

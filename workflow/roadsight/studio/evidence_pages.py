@@ -59,7 +59,7 @@ def frontiers(results: Path) -> dict[str, Any]:
             {"job": job, "knob": knob, "views": measure_views(cast(Any, part.to_dict("records")))}
             for (job, knob), part in groups
         ]
-    except (ValueError, KeyError, TypeError, StopIteration) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             "is damaged", where=str(path), hint="delete it and run: snakemake tradeoffs"
         ) from error

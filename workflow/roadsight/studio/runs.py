@@ -169,11 +169,12 @@ class Runs:
         ------
         InputError : a run holds it, or there is none.
         """
-        if self._is_alive() or processes_outside(self._project.root):
-            raise InputError("the workflow runs: its lock stays", where="studio")
-        if not lock_is_there(self._project.root):
-            raise InputError("there is no lock", where="studio")
-        unlock(self._project)
+        with self._starting:
+            if self._is_alive() or processes_outside(self._project.root):
+                raise InputError("the workflow runs: its lock stays", where="studio")
+            if not lock_is_there(self._project.root):
+                raise InputError("there is no lock", where="studio")
+            unlock(self._project)
 
     def state(self) -> dict[str, Any]:
         """The last run, if any, and whatever keeps another one from starting."""

@@ -51,6 +51,14 @@ def test_as_many_pairs_as_can_be_then_the_nearest():
     assert found.loc["b", "new_id"] == "d"
 
 
+def test_of_as_many_pairs_the_least_squares_count():
+    old = survey(("a", "pole", 0.0, 0.0, 1.0), ("b", "pole", 3.0, 0.0, 1.0))
+    new = survey(("c", "pole", 3.0, 0.0, 1.0), ("d", "pole", 4.0, 0.5, 1.0))
+    found = changes(old, new, ChangeSettings(reach_m=5.0)).set_index("old_id")
+    # The sum of distances alone would be less with b at c and a at d.
+    assert found.loc["a", "new_id"] == "c"
+
+
 @given(st.integers(0, 1000), st.integers(0, 12), st.integers(0, 12))
 def test_every_object_is_told_once(seed, many, others):
     rng = np.random.default_rng(seed)

@@ -76,6 +76,16 @@ def test_the_sweep_by_its_name_is_that_of_the_study():
     assert (usual.cluster_m, usual.sequence_m) == (1.0, pytest.approx(100 * 0.3048))
 
 
+def test_settings_of_the_sweep_alone_are_described_as_such():
+    found = {
+        name
+        for name, field in Triangulation.model_fields.items()
+        if field.description.startswith("sweep: ")
+    }
+    weights = {"depth_weight", "spread_weight"}
+    assert found == {"sweep_distance_m", "cluster_m", "sequence_m", *weights}
+
+
 @pytest.mark.parametrize("method", ["sweep", "packing"])
 def test_weights_that_leave_no_price_are_refused(method):
     """Whatever the method: `validation.components: compare` runs the sweep too."""

@@ -259,7 +259,8 @@ class Triangulation(Section):
     )
     max_sigma_m: Metres = Field(default=5.0, description="less certain poles are withheld, m")
     sequence_m: Metres = Field(
-        default=30.48, description="images of one pole follow each other within this, m (100 ft)"
+        default=30.48,
+        description="sweep: images of one pole follow each other within this, m (100 ft)",
     )
     sweep_distance_m: Metres = Field(
         default=25.0, description="sweep: farther crossings are not used, m"

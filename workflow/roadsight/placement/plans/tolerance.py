@@ -19,7 +19,7 @@ from roadsight.placement.sensors.poses import AS_MOUNTED, Turn
 OUT = "out"  # name of the change of a sensor that fails
 # Covers that are tried with rows as they are seen with tolerance, before only rows that were looked
 # at may be chosen: the test sites needed 3 to 20.
-MOST_ROUNDS = 60
+_MOST_ROUNDS = 60
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ Look = Callable[[int], Bools]  # what a row sees under every change at once (tar
 
 
 def solve_with_tolerance(
-    matrix: sparse.csr_matrix, solve: Solve, look: Look, most_rounds: int = MOST_ROUNDS
+    matrix: sparse.csr_matrix, solve: Solve, look: Look
 ) -> tuple[sparse.csr_matrix, Bools, int, bool]:
     """Rows reduced to what they see with tolerance, as far as covers ask for them.
 
@@ -142,7 +142,7 @@ def solve_with_tolerance(
     """
     rows = matrix.tolil(copy=True)
     known = np.zeros(matrix.shape[0], bool)
-    for number in range(1, most_rounds + 1):
+    for number in range(1, _MOST_ROUNDS + 1):
         current = rows.tocsr()
         chosen = solve(current)
         if chosen is None:
@@ -157,7 +157,7 @@ def solve_with_tolerance(
             known[row] = True
     for row in np.flatnonzero(~known).tolist():
         rows.rows[row], rows.data[row] = [], []
-    return rows.tocsr(), known, most_rounds, False
+    return rows.tocsr(), known, _MOST_ROUNDS, False
 
 
 def lost_shares(times_lost: Ints, lost_alone: Bools, cases: int) -> Floats:

@@ -8,12 +8,8 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats
+from roadsight.poles.risk.validation import match_points
 
 COLUMNS = ("status", "id", "old_id", "new_id", "kind", "moved_m", "limit_m", "x", "y")
 STATUSES = ("same", "moved", "new", "gone")
@@ -61,8 +57,8 @@ def changes(
     for kind in sorted(set(old["kind"]) & set(new["kind"])):
         a, b = (np.flatnonzero((table["kind"] == kind).to_numpy()) for table in (old, new))
         before, after = (table[["x", "y"]].to_numpy(np.float64) for table in (old, new))
-        near = _nearest(before[a], after[b], own.reach_m)
-        found_pairs += [(int(a[i]), int(b[j])) for i, j in near]
+        matches = match_points(before[a], after[b], own.reach_m, power=2)
+        found_pairs += [(int(a[i]), int(b[j])) for i, j in matches]
     pairs = np.array(sorted(found_pairs), np.int64).reshape(-1, 2)
     rows: list[tuple] = []
     for a, b in pairs:
@@ -89,32 +85,6 @@ def changes(
     order = table["status"].map({name: n for n, name in enumerate(STATUSES)})
     keys = table.assign(order=order).sort_values(["order", "id"], kind="stable").index
     return table.loc[keys].reset_index(drop=True)
-
-
-def _nearest(a_m: Floats, b_m: Floats, reach_m: float) -> list[tuple[int, int]]:
-    """Pairs of places (n, 2) within reach: as many as can be, then as near as can be."""
-    near = cKDTree(a_m).sparse_distance_matrix(cKDTree(b_m), reach_m, output_type="coo_matrix")
-    n, m = len(a_m), len(b_m)
-    rows, columns = near.row, near.col
-    if not len(rows):
-        return []
-    # Each cluster by itself: a long road has many objects, a cluster a few.
-    graph = coo_array((np.ones(len(rows)), (rows, n + columns)), shape=(n + m, n + m))
-    _, label = connected_components(graph, directed=False)
-    found = []
-    for cluster in np.unique(label[rows]):
-        left = np.flatnonzero(label[:n] == cluster)
-        right = np.flatnonzero(label[n:] == cluster)
-        gap = np.hypot(*np.moveaxis(a_m[left][:, None] - b_m[right][None], 2, 0))
-        # A pair out of reach costs more than all pairs within it together.
-        cost = np.where(gap <= reach_m, gap**2, (min(n, m) + 1) * reach_m**2)
-        chosen = linear_sum_assignment(cost)
-        found += [
-            (int(left[i]), int(right[j]))
-            for i, j in zip(*chosen, strict=True)
-            if gap[i, j] <= reach_m
-        ]
-    return sorted(found)
 
 
 def _sigma(row: pd.Series, settings: ChangeSettings) -> float:

@@ -29,12 +29,12 @@ _EDGE_REACH_M = 5.0
 _GEOD = Geod(ellps="WGS84")
 
 
-def match_points(found_m: Floats, truth_m: Floats, threshold_m: float) -> Ints:
-    """One-to-one matches within a distance: as many as can be, of least total distance.
+def match_points(found_m: Floats, truth_m: Floats, threshold_m: float, power: int = 1) -> Ints:
+    """One-to-one matches within a distance: as many as can be, of the least sum of distances.
 
     Parameters
     ----------
-    found_m, truth_m : shapes (n, 2) and (m, 2), metres.
+    found_m, truth_m : shapes (n, 2) and (m, 2), metres. power : of the distances in that sum.
 
     Returns
     -------
@@ -59,9 +59,9 @@ def match_points(found_m: Floats, truth_m: Floats, threshold_m: float) -> Ints:
         rows, row = np.unique(block["i"], return_inverse=True)
         columns, column = np.unique(block["j"], return_inverse=True)
         # A missing match costs more than all distances of the part together.
-        missing = (threshold_m + 1.0) * (min(len(rows), len(columns)) + 1)
+        missing = (threshold_m**power + 1.0) * (min(len(rows), len(columns)) + 1)
         cost = np.full((len(rows), len(columns)), missing)
-        cost[row, column] = block["v"]
+        cost[row, column] = block["v"] ** power
         i, j = linear_sum_assignment(cost)
         real = cost[i, j] < missing
         found.append(np.column_stack([rows[i[real]], columns[j[real]]]))

@@ -68,12 +68,12 @@ def measure_views(rows: Sequence[Row]) -> list[dict[str, Any]]:
         measures.setdefault((row["stage"], row["metric"]), []).append(row)
     views = []
     for (stage, _), part in measures.items():
-        default = next(row for row in part if row["is_default"])
+        default = _default(part)
         cost_of = "whole job" if stage == WHOLE_JOB else f"step {stage}"
         views.append(
             {
-                "title": f"{title(default)}: {cost_of}",
-                "reference": default["reference"],
+                "title": f"{title(part[0])}: {cost_of}",
+                "reference": part[0]["reference"],
                 "svg": _chart(part),
                 "rows": [
                     {
@@ -89,7 +89,7 @@ def measure_views(rows: Sequence[Row]) -> list[dict[str, Any]]:
                 ],
                 # Where a perfect result is 0, a value is its own error.
                 "has_error": any(row["value"] != row["error_vs_reference"] for row in part),
-                "on_frontier": default["on_frontier"],
+                "on_frontier": None if default is None else default["on_frontier"],
                 "verdict": verdict(part),
             }
         )
@@ -104,7 +104,9 @@ def title(row: Row) -> str:
 
 def verdict(rows: Sequence[Row]) -> str:
     """One sentence: whether the default is on the frontier, and what the next step costs."""
-    default = next(row for row in rows if row["is_default"])
+    default = _default(rows)
+    if default is None:
+        return "There is no default row, so what the next step costs cannot be said."
     name = f"The default {default['level']}"
     place = "is on the frontier" if default["on_frontier"] else "is off the frontier"
     step = next_step(rows)
@@ -113,6 +115,10 @@ def verdict(rows: Sequence[Row]) -> str:
     gain = amount(abs(step["error"]), default["unit"])
     cost = f"{_signed(step['cpu_s'])} CPU s and {_signed(step['mib'])} MiB"
     return f"{name} {place}; {step['level']} is better by {gain} and costs {cost}."
+
+
+def _default(rows: Sequence[Row]) -> Row | None:
+    return next((row for row in rows if row["is_default"]), None)
 
 
 def amount(value: float, unit: str) -> str:

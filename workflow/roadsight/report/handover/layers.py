@@ -15,14 +15,9 @@ from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.io.raster.rasters import Raster
-from roadsight.report.handover.styles import Category, Style
+from roadsight.report.handover.styles import SEEN, Category, Style
 
-_SEEN = (
-    Category("0", "seen by none", "#dc2626"),
-    Category("1", "seen by one", "#93c5fd"),
-    Category("2", "seen by two", "#3b82f6"),
-    Category("3", "seen by three or more", "#1e3a8a"),
-)
+_SEEN = tuple(Category(str(n), f"seen {by}", rgb) for n, (by, rgb) in enumerate(SEEN.items()))
 _RATED = (
     Category("high", "high", "#dc2626"),
     Category("medium", "medium", "#f59e0b"),

@@ -9,6 +9,13 @@ from xml.etree import ElementTree as ET
 
 _VERSION = "3.34.0"  # QGIS whose style language this is; later ones read it
 _OUTLINE = "#ffffff"
+# Colours of targets by how many sensors see them
+SEEN = {
+    "by none": "#dc2626",
+    "by one": "#93c5fd",
+    "by two": "#3b82f6",
+    "by three or more": "#1e3a8a",
+}
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -34,7 +34,7 @@ from roadsight.report.poles.poles_layers import (
     pole_records,
     sighting_layer,
 )
-from roadsight.report.site.cautions import Caution, told_cautions
+from roadsight.report.site.cautions import page_cautions, sentence, told_cautions
 from roadsight.report.wording import counted, number, percent
 
 MOST_PICTURES = 60  # Pictures of poles in the page, which holds them itself: some 5 kB each
@@ -139,11 +139,8 @@ def build_poles_page(
         "validation": plain(result.validation),
         "files": list(result.files),
         "cautions": [
-            asdict(caution)
-            for caution in [
-                *told_cautions(summary.get("warnings", [])),
-                *pole_cautions(images, result.sightings, poles, result.validation),
-            ]
+            *page_cautions(*told_cautions(summary.get("warnings", []))),
+            *page_cautions(*pole_cautions(images, result.sightings, poles, result.validation)),
         ],
     }
 
@@ -233,8 +230,8 @@ def pole_cautions(
     sightings: pd.DataFrame,
     poles: list[dict[str, Any]],
     validation: dict[str, Any] | None,
-) -> list[Caution]:
-    """Warnings first, then notes.
+) -> tuple[list[str], list[str]]:
+    """Warnings and notes.
 
     Parameters
     ----------
@@ -247,8 +244,7 @@ def pole_cautions(
         notes.append("No known poles for this site: errors and scores are not known here.")
     else:
         checked = len(validation.get("errors", []))
-        told = map(str, validation.get("warnings", []))
-        own = [f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in told]
+        own = [sentence(str(text)) for text in validation.get("warnings", [])]
         if checked < _FEW_CHECKED and not any(text.startswith("Only") for text in own):
             warnings.append(
                 f"Only {counted(checked, 'pole')} could be checked against known ones: mean errors"
@@ -262,7 +258,7 @@ def pole_cautions(
         "Error ellipses come from the sightings' own uncertainties: an error that a whole route"
         " shares does not show in them."
     )
-    return [Caution("warning", text) for text in warnings] + [Caution("note", t) for t in notes]
+    return warnings, notes
 
 
 def _image_warnings(cameras: pd.DataFrame) -> list[str]:

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from roadsight.placement.plans.plan_doubts import EXAMINED_SHARE, FEW_POSITIONS, FEW_TARGETS, SAID
 from roadsight.report.site.options_view import goal_text
 from roadsight.report.wording import counted, number, percent
 
 
-@dataclass(frozen=True)
-class Caution:
-    """One sentence for the reader.
+def page_cautions(warnings: Sequence[str], notes: Sequence[str]) -> list[dict[str, str]]:
+    """As pages hold them.
 
     Parameters
     ----------
-    level : warning (limits what the result is worth) or note (an assumption to check).
-    text : the sentence.
+    warnings : sentences that limit what the result is worth. notes : assumptions to check.
     """
-
-    level: Literal["warning", "note"]
-    text: str
+    found = [{"level": "warning", "text": text} for text in warnings]
+    return found + [{"level": "note", "text": text} for text in notes]
 
 
 def is_proven(status: str, objective: float, bound: float, whole_costs: bool) -> bool:
@@ -40,8 +36,8 @@ def is_proven(status: str, objective: float, bound: float, whole_costs: bool) ->
     return objective <= least + tolerance
 
 
-def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
-    """Cautions of the plans; what holds for several of them is said once.
+def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[str]:
+    """Warnings of the plans; what holds for several of them is said once.
 
     Parameters
     ----------
@@ -54,7 +50,7 @@ def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
     found = []
     for text, named in titles.items():
         together = "All plans" if len(named) == len(plans) > 1 else ", ".join(named)
-        found.append(Caution("warning", f"{together}: {text}"))
+        found.append(f"{together}: {text}")
     return found
 
 
@@ -79,8 +75,8 @@ def data_cautions(
     pavement_area_m2: float,
     settings: dict[str, Any],
     examined_m2: float | None = None,
-) -> list[Caution]:
-    """Cautions where a result rests on too little data.
+) -> list[str]:
+    """Warnings where a result rests on too little data.
 
     Parameters
     ----------
@@ -90,33 +86,33 @@ def data_cautions(
     """
     found = []
     if targets is not None and targets < FEW_TARGETS:
-        text = f"Only {counted(targets, 'target')}: the number of sensors rests on little data."
-        found.append(Caution("warning", text))
+        many = counted(targets, "target")
+        found.append(f"Only {many}: the number of sensors rests on little data.")
     if positions is not None and positions < FEW_POSITIONS:
-        text = f"Only {counted(positions, 'candidate position')}: there is little to choose from."
-        found.append(Caution("warning", text))
+        many = counted(positions, "candidate position")
+        found.append(f"Only {many}: there is little to choose from.")
     cell_m2 = settings["targets"]["cell_size_m"] ** 2
     if examined_m2 is None and targets is not None:
         examined_m2 = targets * cell_m2
     share = 1.0 if examined_m2 is None else examined_m2 / max(pavement_area_m2, cell_m2)
     if share < EXAMINED_SHARE:
-        text = (
+        found.append(
             f"{percent(1 - share)} of the pavement carries no target, because the cloud is too thin"
             " there or it lies at the road's edge: whether sensors see it is not known. It is"
             " hatched on the map."
         )
-        found.append(Caution("warning", text))
     return found
 
 
-def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
-    """What stages told: doubts as warnings, notes as notes; not what pages say in their own words.
+def told_cautions(doubts: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
+    """What stages told: warnings and notes; not what pages say in their own words.
 
     Parameters
     ----------
     doubts : ``warnings`` of the summary.
     """
-    found = []
+    warnings: list[str] = []
+    notes: list[str] = []
     for doubt in doubts:
         if doubt["code"] in SAID:
             continue
@@ -126,9 +122,14 @@ def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
             text += f": {_figure(doubt['measured'], is_share)}"
             limit = doubt["limit"]
             text += "" if limit is None else f" (limit {_figure(limit, is_share)})"
-        level: Literal["warning", "note"] = "note" if doubt["severity"] == "note" else "warning"
-        found.append(Caution(level, f"{text[:1].upper()}{text[1:].rstrip('.')}."))
-    return found
+        level = notes if doubt["severity"] == "note" else warnings
+        level.append(sentence(text))
+    return warnings, notes
+
+
+def sentence(text: str) -> str:
+    """A message with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def _figure(value: Any, is_share: bool) -> str:
@@ -143,8 +144,8 @@ def scene_cautions(
     traffic: dict[str, Any] | None,
     edge_sources: set[str],
     sensors: dict[str, dict[str, Any]],
-) -> list[Caution]:
-    """Assumptions behind the scene: its CRS, its edges, unscored pavement, traffic, unit costs."""
+) -> list[str]:
+    """Notes on the scene: its CRS, its edges, unscored pavement, traffic, unit costs."""
     notes = [str(note) for note in frame.get("notes", [])]
     if frame["crs_wkt"] is None:
         notes.append("the site has no CRS: positions are local, without longitude and latitude")
@@ -160,4 +161,4 @@ def scene_cautions(
         )
     if len(sensors) > 1 and len({sensor["cost"] for sensor in sensors.values()}) == 1:
         notes.append("every sensor has the same cost, so plans compare by number, not by price")
-    return [Caution("note", f"{note[:1].upper()}{note[1:].rstrip('.')}.") for note in notes]
+    return [sentence(note) for note in notes]

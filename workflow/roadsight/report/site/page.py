@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import geopandas as gpd
@@ -20,9 +20,9 @@ from roadsight.placement.sight.detection import detection_matrix
 from roadsight.report.packing import pack, pack_points
 from roadsight.report.site.backdrops import Backdrop
 from roadsight.report.site.cautions import (
-    Caution,
     data_cautions,
     is_proven,
+    page_cautions,
     plan_cautions,
     scene_cautions,
     told_cautions,
@@ -165,7 +165,7 @@ def build_page(
         "sensors": {} if placement is None else placement.sensors,
         "layers": layers,
         "plans": plans,
-        "cautions": [asdict(caution) for caution in _cautions(summary, scene, placement, plans)],
+        "cautions": _cautions(summary, scene, placement, plans),
     }
 
 
@@ -251,26 +251,26 @@ def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> lis
 
 def _cautions(
     summary: dict[str, Any], scene: Scene, placement: Placement | None, plans: list[dict[str, Any]]
-) -> list[Caution]:
-    """Warnings first, then notes."""
+) -> list[dict[str, str]]:
     targets = positions = None
     if placement is not None:
         targets = len(placement.targets)
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
-    found = told_cautions(summary.get("warnings", [])) + plan_cautions(plans)
+    warnings, notes = told_cautions(summary.get("warnings", []))
     examined_m2 = None
     if placement is not None and "area_m2" in placement.targets:
         examined_m2 = float(placement.targets["area_m2"].sum())
-    found += data_cautions(targets, positions, area_m2, summary["settings"], examined_m2)
-    found += scene_cautions(
+    warnings += plan_cautions(plans)
+    warnings += data_cautions(targets, positions, area_m2, summary["settings"], examined_m2)
+    notes += scene_cautions(
         scene.about,
         summary["scene"].get("pavement_scores") is not None,
         summary["scene"].get("traffic"),
         set(scene.edges["source"]),
         {} if placement is None else placement.sensors,
     )
-    return sorted(found, key=lambda caution: caution.level != "warning")
+    return page_cautions(warnings, notes)
 
 
 # Targets that a plan leaves out, why, and what stands in the way (paper 1, Appendix B).
