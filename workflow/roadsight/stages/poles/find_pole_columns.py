@@ -16,7 +16,7 @@ from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
+from roadsight.poles.sightings.lidar_poles import find_pole_columns
 from roadsight.poles.sightings.stems import StemShapes, find_stems, stem_shapes, with_stems
 from roadsight.stages.command import Command, logged
 
@@ -47,19 +47,15 @@ def find_columns(cloud_path: Path, frame: Path, dem: Path, settings: Columns, *,
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
         shapes = asdict(stem_shapes(found, xyz, above, cls, settings.excluded_classes))
-        tables.append(_table(found).assign(**shapes)[inside])
+        heights_m = found.z_ground_m, found.top_m
+        values = x, y, *heights_m, found.sigma_m, found.points, found.open_top
+        tables.append(pd.DataFrame(dict(zip(COLUMNS, values, strict=True)) | shapes)[inside])
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     median_m = table["sigma_m"].median() if len(table) else float("nan")
     tell = log.info if len(table) else log.warning
     tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
     write_table(out, table, {"settings": settings.model_dump()})
-
-
-def _table(found: PoleColumns) -> pd.DataFrame:
-    values = *found.xy_m.T, found.z_ground_m, found.top_m, found.sigma_m
-    values += (found.points, found.open_top)
-    return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
 
 
 main = Command(find_columns)

@@ -66,7 +66,9 @@ def find_roadside_objects(
     cloud = CloudTiles(cloud_path)
     cell_m, halo_m = np.nan, _HALO_M
     if "tree" in kinds:
-        cell_m = _canopy_cell_m(cloud)
+        # One for the whole cloud, by a first pass over its tiles.
+        passed = (cloud.read(["x", "y"], [number]) for number in range(len(cloud.tiles)))
+        cell_m = canopy_cell_m([measure_density(np.column_stack([p["x"], p["y"]])) for p in passed])
         # Of a trunk between two crowns either tile must see both.
         halo_m = max(_HALO_M, reach_m(cell_m) + 2 * TRUNK_REACH_M)
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
@@ -101,7 +103,10 @@ def find_roadside_objects(
     trees = trees.sort_values(["x", "y"], kind="stable", ignore_index=True)
     trees["z_ground"] = ground.sample(trees["x"].to_numpy(), trees["y"].to_numpy())
     parts = [trees.assign(kind="tree", object=np.arange(len(trees)))]
-    parts += [_rail(line, number) for number, line in enumerate(lines)]
+    parts += [
+        pd.DataFrame(line, columns=["x", "y", "z_ground"]).assign(kind="guardrail", object=number)
+        for number, line in enumerate(lines)
+    ]
     for kind, found_cells in cells.items():
         told = _any_cells(found_cells)
         if kind == "building" and not told:
@@ -125,15 +130,6 @@ def _any_cells(parts: Sequence[BlockCells]) -> bool:
     return any(len(part.index) for part in parts)
 
 
-def _canopy_cell_m(cloud: CloudTiles) -> float:
-    """One for the whole cloud, by a first pass over its tiles."""
-    densities = []
-    for number in range(len(cloud.tiles)):
-        points = cloud.read(["x", "y"], [number])
-        densities.append(measure_density(np.column_stack([points["x"], points["y"]])))
-    return canopy_cell_m(densities)
-
-
 def _inside(xy_m: Floats, bounds: tuple[float, float, float, float]) -> np.ndarray:
     west, south, east, north = bounds
     x, y = xy_m[:, 0], xy_m[:, 1]
@@ -145,14 +141,6 @@ def _trees(found: Crowns, trunks: Trunks, own: np.ndarray) -> pd.DataFrame:
     size = {"top_m": found.top_m[own], "width_m": found.width_m[own], "sigma_m": SIGMA_M}
     below = (*trunks.xy_m[own].T, trunks.sigma_m[own], trunks.shows[own])
     return pd.DataFrame({"x": x, "y": y, **size, **dict(zip(TRUNK_COLUMNS, below, strict=True))})
-
-
-def _rail(line: Floats, number: int) -> pd.DataFrame:
-    x, y, z = line.T
-    unknown = {"top_m": np.nan, "width_m": np.nan, "sigma_m": np.nan}
-    return pd.DataFrame(
-        {"kind": "guardrail", "object": number, "x": x, "y": y, "z_ground": z}
-    ).assign(**unknown)
 
 
 def _block(block: Block, kind: str, number: int, ground: Raster) -> pd.DataFrame:
