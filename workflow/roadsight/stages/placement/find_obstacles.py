@@ -51,7 +51,6 @@ from roadsight.placement.sight.objects import kind_of_name
 from roadsight.placement.sight.obstacles import (
     NEAREST,
     Cast,
-    ObjectsAt,
     blocked_sight_lines,
     by_object,
     cell_lines,
@@ -129,30 +128,20 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     gaps = _gaps(given, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
     objects_at = object_finder(read_table(given.objects) if given.objects else pd.DataFrame())
-    objects = _objects(lines, objects_at)
+    objects = by_object(lines, objects_at).rename(columns={"object": "name"})
+    objects["kind"] = [kind_of_name(name) for name in objects["name"]]
+    objects = objects.astype(dict.fromkeys("xyz", np.float64))
+    objects = objects.astype(dict.fromkeys(("sight_lines", "targets", "sensors"), np.int64))
     if given.objects:
-        _name_obstacles(obstacles, objects_at)
+        above = (obstacles["kind"] != "ground").to_numpy()
+        names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
+        obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
     layers = {
         "obstacles": _points(obstacles),
         "uncovered": _points(gaps),
         "objects": _points(objects),
     }
     write_layers(out, layers, frame, dict.fromkeys(layers, "Point Z"))
-
-
-def _objects(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
-    """Objects with what they hide from the chosen sensors, the greatest first."""
-    table = by_object(lines, objects_at).rename(columns={"object": "name"})
-    table["kind"] = [kind_of_name(name) for name in table["name"]]
-    table = table.astype(dict.fromkeys("xyz", np.float64))
-    return table.astype(dict.fromkeys(["sight_lines", "targets", "sensors"], np.int64))
-
-
-def _name_obstacles(obstacles: pd.DataFrame, objects_at: ObjectsAt) -> None:
-    """Say of obstacles above the ground what kind of object they belong to."""
-    above = (obstacles["kind"] != "ground").to_numpy()
-    names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
-    obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
 
 
 def _hidden_pairs(

@@ -142,7 +142,9 @@ def _found(
     InputError : none is found.
     """
     if way.tma:
-        outline = _users_area(way.tma, frame)
+        area = shapely.union_all(read_polygons(way.tma, frame).geometry.to_numpy())
+        polygons = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+        outline = MultiPolygon(sorted(polygons, key=lambda part: -part.area))
         told = "polygons of the monitored area"
         tell_near(log, told, np.array(outline.geoms, object), about, way.tma)
         return _Found(outline, "user", [])
@@ -259,12 +261,6 @@ def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geomet
     lines = read_lines(way.edges, frame, way.edges_crs).geometry.to_numpy()
     tell_near(log, "edges", lines, about, way.edges)
     return list(lines)
-
-
-def _users_area(path: str, frame: Frame) -> MultiPolygon:
-    area = shapely.union_all(read_polygons(path, frame).geometry.to_numpy())
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
 def _published(way: Way) -> tuple[MultiPolygon, float]:
