@@ -49,8 +49,7 @@ def measure_tradeoff(
     base, _ = _site(config, site, {})
     resolved, sample = _site(config, site, changes)
     plan = next(iter(resolved.plans))
-    known = load_sensors(config["sensors_file"])
-    sensors = {name: known[name] for name in resolved.plans[plan].sensors}
+    sensors = _sensors(resolved, config)
     for name in metrics:
         if name not in METRICS:
             raise InputError(
@@ -103,6 +102,12 @@ def _site(
     if site.site.sample is None:
         raise InputError("is no generated site, so that its truth is unknown", where=f"site {name}")
     return site, site.site.sample
+
+
+def _sensors(site: ResolvedSite, config: dict[str, Any]) -> dict[str, AnySensor]:
+    """Sensors of the plan that is looked at; none where no sensor is placed."""
+    known = load_sensors(config["sensors_file"])
+    return {name: known[name] for plan in list(site.plans.values())[:1] for name in plan.sensors}
 
 
 # Settings at which a metric has no meaning, told before anything runs.

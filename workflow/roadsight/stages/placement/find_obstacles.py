@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
@@ -32,7 +31,7 @@ from roadsight.io.records.placement_tables import (
 )
 from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.vectors import write_layers
+from roadsight.io.vector.vectors import points, write_layers
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
@@ -136,11 +135,7 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
         above = (obstacles["kind"] != "ground").to_numpy()
         names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
         obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
-    layers = {
-        "obstacles": _points(obstacles),
-        "uncovered": _points(gaps),
-        "objects": _points(objects),
-    }
+    layers = {"obstacles": points(obstacles), "uncovered": points(gaps), "objects": points(objects)}
     write_layers(out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
@@ -293,12 +288,6 @@ def _reach_m(name: str, sensor: AnySensor, clear_m: float, air: list[dict[str, f
     if isinstance(sensor, Camera):
         return min(sensor.range_m, contrast_range_m(extinction))
     return float(range_in_air_m(clear_m, extinction))
-
-
-def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
-    columns = table.drop(columns=["x", "y", "z"])
-    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
-    return gpd.GeoDataFrame(columns, geometry=geometry)
 
 
 # Why targets stay unseen beyond what stands in the way: weather, dark targets, vehicles.

@@ -25,7 +25,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.placement_tables import read_detections, read_poses, read_tilts
 from roadsight.io.records.tables import read_about
-from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.io.vector.vectors import points, read_layer, write_layers
 from roadsight.placement.plans.handover import (
     data_rates,
     distances_m,
@@ -126,6 +126,7 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
     }
     shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
     names = chosen["candidate"].astype(str)
+    told = table.drop(columns=["x", "y", "z"])
     content = {
         **handover(times_seen),
         "margins": lost,
@@ -136,14 +137,9 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
             pair | {end: names[pair[end]] for end in ("sensor", "next")} for pair in pairs
         ],
         **totals,
-        "sensors": table.drop(columns=["x", "y", "z"])
-        .astype(object)
-        .where(table.drop(columns=["x", "y", "z"]).notna(), None)
-        .to_dict("records"),
+        "sensors": told.astype(object).where(told.notna(), None).to_dict("records"),
     }
     write_json(out, content)
-    points = gpd.points_from_xy(table["x"], table["y"], table["z"])
-    layer = gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=points)
     feet = gpd.GeoDataFrame(
         {
             "target": targets["target"].astype(str),
@@ -154,7 +150,7 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
         | dict(height_columns(on_targets)),
         geometry=gpd.points_from_xy(*feet_m[:, :3].T),
     )
-    write_layers(layers, {"sensors": layer, "targets": feet}, frame)
+    write_layers(layers, {"sensors": points(table), "targets": feet}, frame)
     log.info(
         "%.0f points a second, %.0f on the road",
         totals["points_per_s"],

@@ -22,7 +22,7 @@ from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.placement_tables import read_traffic
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.io.vector.vectors import points, read_layer, write_layers
 from roadsight.placement.candidates.siting import needs_by_area
 from roadsight.placement.plans.availability import (
     CommonTraffic,
@@ -128,11 +128,11 @@ def solve_cover(
         chosen = set(sensors[["sensor", "candidate"]].apply(tuple, axis=1))
         wanted["availability"] = availability(detections, chosen, wanted["target"])
         content["availability"] = described(wanted["availability"].to_numpy())
-    layers = {"sensors": _points(_located(sensors, frame)), "targets": _points(wanted)}
+    layers = {"sensors": points(_located(sensors, frame)), "targets": points(wanted)}
     if answered is not None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
-        layers["sensors"] = _points(_located(sensors, frame))
+        layers["sensors"] = points(_located(sensors, frame))
     write_layers(layers_path, layers, frame, dict.fromkeys(layers, "Point Z"))
     _tell(given, content, candidates, doubts)
     write_json(timing, {"seconds_cpu": cover.seconds_cpu})
@@ -320,10 +320,7 @@ def _option_layers(
     swaps = table([row for _, row in answered.alternatives])
     replaced = [int(answered.cover.chosen[k]) for k, _ in answered.alternatives]
     swaps["replaces"] = choices["candidate"].iloc[replaced].tolist()
-    return {
-        "alternatives": _points(swaps),
-        "different": _points(table(answered.different.tolist())),
-    }
+    return {"alternatives": points(swaps), "different": points(table(answered.different.tolist()))}
 
 
 def _check_uncovered(
@@ -448,20 +445,13 @@ def _located(sensors: pd.DataFrame, frame: Frame) -> pd.DataFrame:
 
     The number is that of the report, from 1.
     """
-    table = sensors.copy()
+    table = sensors.drop(columns="native")
     table.insert(0, "number", np.arange(1, len(table) + 1))
     table["azimuth_deg"] = [bearing_deg(float(yaw)) for yaw in table["yaw_deg"]]
     degrees = longitudes_latitudes(frame, table[["x", "y"]].to_numpy(np.float64))
     unknown = np.full((len(table), 2), np.nan)
     table[["longitude", "latitude"]] = unknown if degrees is None else degrees
     return table
-
-
-def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
-    columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
-    return gpd.GeoDataFrame(
-        columns, geometry=gpd.points_from_xy(table["x"], table["y"], table["z"])
-    )
 
 
 @dataclass(frozen=True)

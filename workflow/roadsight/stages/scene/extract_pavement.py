@@ -23,7 +23,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement, PavementOutline
 from roadsight.geometry.areas import inside
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.cloud.tiles import CloudTiles, in_bounds, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.known import read_seeds, read_track
@@ -319,8 +319,7 @@ def _points_within(
         if low_x > east or high_x < west or low_y > north or high_y < south:
             continue
         xyz = stack_xyz(cloud.read(("x", "y", "z"), [number])).astype(np.float64)
-        near = (xyz[:, 0] >= west) & (xyz[:, 0] < east)
-        near &= (xyz[:, 1] >= south) & (xyz[:, 1] < north)
+        near = in_bounds(xyz[:, 0], xyz[:, 1], bounds)
         parts.append(xyz[near])
         labels.append(ground[starts[number] : starts[number + 1]][near])
     return np.concatenate([np.empty((0, 3)), *parts]), np.concatenate([np.zeros(0, bool), *labels])
