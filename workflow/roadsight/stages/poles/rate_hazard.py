@@ -128,10 +128,6 @@ def rate_hazard(
     if unit != "m":
         table[f"measure_{unit}"] = (table["station_m"] / UNITS_M[unit]).round(5)
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
-    about = {"clear_zone": SOURCE, "rule": RULE, "settings": settings.model_dump()}
-    about |= {"sources": SOURCES}
-    write_table(out, table, about)
-    write_csv(csv, in_native(table, frame))
     names = objects["id"].astype(str).tolist()
     sections = section_table(
         surroundings,
@@ -146,6 +142,10 @@ def rate_hazard(
     sections[places] *= scale
     geometry = geometry_table(surroundings, settings)
     geometry[list(PLAN)] *= scale
+    about = {"clear_zone": SOURCE, "rule": RULE, "settings": settings.model_dump()}
+    about |= {"sources": SOURCES}
+    write_table(out, table, about)
+    write_csv(csv, in_native(table, frame))
     if geometry_csv:
         write_csv(geometry_csv, rounded(in_native(geometry, frame)))
     if sections_path:
