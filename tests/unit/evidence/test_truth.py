@@ -9,10 +9,11 @@ import pandas as pd
 import pytest
 
 from roadsight.evidence.truth.catalogue import AREAS, Area, Metric
-from roadsight.evidence.truth.ground import f1, kappa, smrf
+from roadsight.evidence.truth.streets import f1
 from roadsight.evidence.truth.table import COLUMNS, MEAN, Figure, holds, truth_rows
 from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
+from roadsight.stages.truth.truth_ground import kappa, smrf
 
 AREA = Area(
     title="Things",

@@ -21,13 +21,12 @@ from pyproj.crs import CompoundCRS
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import Raster, crs_wkt, read_raster
-from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.io.vector.vectors import points, read_layer, write_layers
 from roadsight.report.handover.drawing import drawing
 from roadsight.report.handover.kml import kml
 from roadsight.report.handover.layers import (
     draped,
     plan_layers,
-    points,
     pole_layers,
     scene_layers,
     sensor_table,

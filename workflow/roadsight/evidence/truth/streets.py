@@ -89,3 +89,10 @@ def ground_points(street: Street, cell_m: float = 0.04, farthest_m: float = 45.0
     reach = street.range_m
     near = street.select(street.still & (reach >= NEAREST_M) & (reach <= farthest_m))
     return near.select(first_per_cell(near.xyz_m, cell_m))
+
+
+def f1(found: Bools, truth: Bools) -> float:
+    """Harmonic mean of precision and recall; 1 where there is nothing to find and nothing found."""
+    both = int((found & truth).sum())
+    total = int(found.sum()) + int(truth.sum())
+    return 2 * both / total if total else 1.0

@@ -179,7 +179,7 @@ class CloudTiles:
         )
         for number in np.flatnonzero(touched).tolist():
             points = read(number, names)
-            inside = _inside(points["x"], points["y"], bounds_m)
+            inside = in_bounds(points["x"], points["y"], bounds_m)
             parts.append({name: points[name][inside] for name in names})
         return {name: np.concatenate([part[name] for part in parts]) for name in wanted}
 
@@ -189,7 +189,8 @@ def stack_xyz(points: Mapping[str, NDArray]) -> Floats32:
     return np.stack([points[axis] for axis in POSITION], axis=1)
 
 
-def _inside(x: NDArray, y: NDArray, bounds_m: Bounds) -> Bools:
+def in_bounds(x: NDArray, y: NDArray, bounds_m: Bounds) -> Bools:
+    """Whether places (n,) lie within west, south and before east, north."""
     west, south, east, north = bounds_m
     return (x >= west) & (x < east) & (y >= south) & (y < north)
 
@@ -276,5 +277,5 @@ class StandingCloud:
             touched = least_x < east and greatest_x >= west
             if touched and least_y < north and greatest_y >= south and number != without:
                 xyz = self.xyz(number)
-                parts.append(xyz[_inside(xyz[:, 0], xyz[:, 1], bounds_m)])
+                parts.append(xyz[in_bounds(xyz[:, 0], xyz[:, 1], bounds_m)])
         return np.concatenate(parts)

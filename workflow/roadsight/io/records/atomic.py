@@ -151,11 +151,16 @@ def _has_room(temporary: Path) -> bool:
     return True
 
 
+def write_text(path: AnyPath, text: str) -> None:
+    """Write ``text`` in UTF-8."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def write_json(path: AnyPath, content: Any) -> None:
     """Write ``content`` as sorted, indented JSON; NaN and infinity are refused."""
     text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, text + "\n")
 
 
 def read_json(path: AnyPath) -> Any:

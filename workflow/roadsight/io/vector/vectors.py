@@ -77,6 +77,12 @@ def write_geojson(path: AnyPath, features: gpd.GeoDataFrame, frame: Frame) -> No
         check_geojson(temporary, len(native))
 
 
+def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    """A table with x, y, z in local metres as points."""
+    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
+    return gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=geometry)
+
+
 def read_layer(path: AnyPath, layer: str, frame: Frame) -> gpd.GeoDataFrame:
     """Features of a layer that `write_layers` wrote, in local metres.
 

@@ -161,12 +161,6 @@ def field_text(value: Any) -> str:
     return f"{value:.10g}" if isinstance(value, float | np.floating) else str(value)
 
 
-def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
-    """A table with x, y, z in local metres as points."""
-    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
-    return gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=geometry)
-
-
 def scene_layers(
     pavement: gpd.GeoDataFrame,
     edges: gpd.GeoDataFrame,

@@ -135,7 +135,15 @@ class _Variant:
             given = replace(given, matches=())
         if without == "pole_landmarks":
             given = replace(given, pole_axes=())
-        self._given = self._front_only(given) if without == "side_views" else given
+        if without == "side_views":
+            frames = read_table(given.frames).assign(left_path="", right_path="")
+            write_table(self._path("frames"), frames)
+            given = replace(given, frames=self._path("frames"))
+            if given.pole_axes:
+                axes = pd.concat([read_table(path) for path in given.pole_axes])
+                write_table(self._path("axes"), axes[axes["view"] == "front"])
+                given = replace(given, pole_axes=(self._path("axes"),))
+        self._given = given
 
     def run(self) -> dict[str, Any]:
         """Numbers of the variant."""
@@ -147,22 +155,13 @@ class _Variant:
         else:
             scores = [self._triangulated()]
         medians = pd.DataFrame(scores).median()
-        return {"images_accepted": images} | {str(k): _known(v) for k, v in medians.items()}
+        known = {str(k): float(v) if np.isfinite(v) else None for k, v in medians.items()}
+        return {"images_accepted": images} | known
 
     def _path(self, name: str, suffix: str = "parquet") -> Path:
         """File of a result, named after the component if the result depends on it."""
         apart = self._without in _CHANGED_BY.get(name.partition("-")[0], COMPONENTS)
         return self._folder / f"{self._without if apart else 'all'}-{name}.{suffix}"
-
-    def _front_only(self, given: Given) -> Given:
-        frames = read_table(given.frames).assign(left_path="", right_path="")
-        write_table(self._path("frames"), frames)
-        given = replace(given, frames=self._path("frames"))
-        if not given.pole_axes:
-            return given
-        axes = pd.concat([read_table(path) for path in given.pole_axes])
-        write_table(self._path("axes"), axes[axes["view"] == "front"])
-        return replace(given, pole_axes=(self._path("axes"),))
 
     def _align(self) -> None:
         given, asked = self._given, self._settings.alignment
@@ -225,11 +224,13 @@ class _Variant:
         write_table(self._path("sightings"), sightings)
 
     def _triangulated(self) -> dict[str, float]:
-        given = self._given
+        given, asked = self._given, self._settings.triangulation
+        if self._without == "grouping_by_evidence":
+            asked = asked.model_copy(update={"method": "sweep"})
         triangulate_poles(
             (self._path("sightings"),),
             given.frame,
-            self._triangulation(),
+            asked,
             given.dem,
             voxels=given.voxels,
             poles_path=self._path("poles"),
@@ -238,12 +239,6 @@ class _Variant:
             geojson=self._path("poles", "geojson"),
         )
         return self._scores()
-
-    def _triangulation(self) -> Triangulation:
-        own = self._settings.triangulation
-        if self._without != "grouping_by_evidence":
-            return own
-        return own.model_copy(update={"method": "sweep"})
 
     def _published(self, seed: int) -> dict[str, float]:
         """Poles by the first study's code, which visits links in one random order."""
@@ -284,10 +279,6 @@ class _Variant:
         values = {"poles": found["poles"], "mean_error_m": found["mean_m"]}
         values |= {"f1_3m": f1.get(3), "f1_6m": f1.get(6)}
         return {name: np.nan if value is None else value for name, value in values.items()}
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _part(part: type[Part], whole: Section) -> Part:

@@ -7,11 +7,11 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
-from roadsight.base.doubts import Doubt, tell_named
+from roadsight.base.doubts import tell_named
 from roadsight.base.errors import InputError
 from roadsight.base.shards import WHOLE
 from roadsight.geometry.frames import Frame
@@ -44,12 +44,19 @@ def match_inputs(
 ) -> None:
     """Write the doubts about lists of which few match; one without a match is refused."""
     about, doubts = read_json(frame), []
+    local = Frame.from_dict(about)
     for given in json.loads(lists):
         what, path = given["what"], given["path"]
         if given["kind"] == PLACES:
-            doubts += _near(what, path, given["crs"], about)
-        elif given["kind"] == PICTURE:
-            _check_picture(path, about)
+            if Path(path).suffix.lower() == ".csv" and what != "edges":
+                places = read_points(path, local)[["x", "y"]].to_numpy(np.float64)
+            else:
+                places = load_local(Path(path), local, given["crs"]).geometry.to_numpy()
+            doubts += tell_near(log, what, places, about, path)
+        elif given["kind"] == PICTURE:  # refused where it cannot be read or shows another place
+            west, south, _, east, north, _ = about["bounds_m"]
+            cell_m = max(east - west, north - south, 1e-3) / _LOOKED_AT
+            read_orthophoto(path, local, west, north, _LOOKED_AT, _LOOKED_AT, cell_m)
         elif frames is None:
             raise InputError("is about images, but there is no videolog", where=path)
         elif given["kind"] == IMAGES:
@@ -61,22 +68,6 @@ def match_inputs(
             paths = [view.path for view in shown]
             doubts += LabelImages(path).matching(paths, what, log).doubts
     keep(doubts, doubts_path)
-
-
-def _near(what: str, path: str, crs: str | None, about: dict[str, Any]) -> list[Doubt]:
-    frame = Frame.from_dict(about)
-    if Path(path).suffix.lower() == ".csv" and what != "edges":
-        places = read_points(path, frame)[["x", "y"]].to_numpy(np.float64)
-        return tell_near(log, what, places, about, path)
-    return tell_near(log, what, load_local(Path(path), frame, crs).geometry.to_numpy(), about, path)
-
-
-def _check_picture(path: str, about: dict[str, Any]) -> None:
-    """Refuse an orthophoto that cannot be read or shows another place."""
-    west, south, _, east, north, _ = about["bounds_m"]
-    cell_m = max(east - west, north - south, 1e-3) / _LOOKED_AT
-    frame = Frame.from_dict(about)
-    read_orthophoto(path, frame, west, north, _LOOKED_AT, _LOOKED_AT, cell_m)
 
 
 main = Command(match_inputs)

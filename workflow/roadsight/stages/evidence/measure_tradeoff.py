@@ -48,6 +48,7 @@ def measure_tradeoff(
         config["plans"] = [plan]
     base, _ = _site(config, site, {})
     resolved, sample = _site(config, site, changes)
+    plan = next(iter(resolved.plans))
     sensors = _sensors(resolved, config)
     for name in metrics:
         if name not in METRICS:
@@ -57,7 +58,8 @@ def measure_tradeoff(
     refuse_other_targets(metrics, resolved.settings.targets.model_dump())
     spinning = resolved.settings.poses.spinning.model_dump()
     refuse_sensors_without_maps(metrics, sensors, spinning)
-    targets = _targets(metrics, resolved)
+    read = [target.format(plan=plan) for name in metrics for target in METRICS[name].targets]
+    targets = list(dict.fromkeys(read))
     variant = Variant.prepare(".", work, config, site, changes)
     ran = variant.run(targets, cores)
     log.info("ran %s", ", ".join(f"{rule} {count}" for rule, count in ran.items()) or "nothing")
@@ -80,19 +82,15 @@ def measure_tradeoff(
         jobs = [record for record in records if record.rule == stage]
         again = variant.repeat(targets, jobs, repeats - 1, cores)
         costs[stage] = cheapest([costs[stage], *(stage_costs(part)[stage] for part in again)])
-    plan = next(iter(resolved.plans))
     results = Results(
         variant.result(""), Path("results") / site, resolved.settings, sample, plan, sensors
     )
     values = {name: METRICS[name].value(results) for name in metrics}
-    known = {name: _known(value) for name, value in values.items()}
-    write_json(out, {"metrics": known, "stages": as_json(costs)})
+    for name, value in values.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            values[name] = None
+    write_json(out, {"metrics": values, "stages": as_json(costs)})
     shutil.rmtree(variant.folder)
-
-
-def _known(value: Any) -> Any:
-    """A number that is one; other values are lists, which stay."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _site(
@@ -104,13 +102,6 @@ def _site(
     if site.site.sample is None:
         raise InputError("is no generated site, so that its truth is unknown", where=f"site {name}")
     return site, site.site.sample
-
-
-def _targets(metrics: Sequence[str], site: ResolvedSite) -> list[str]:
-    """Results that the metrics read."""
-    plan = next(iter(site.plans))
-    named = [target.format(plan=plan) for metric in metrics for target in METRICS[metric].targets]
-    return list(dict.fromkeys(named))
 
 
 def _sensors(site: ResolvedSite, config: dict[str, Any]) -> dict[str, AnySensor]:

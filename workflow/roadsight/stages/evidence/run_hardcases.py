@@ -12,7 +12,7 @@ import pandas as pd
 
 from roadsight import __version__
 from roadsight.base.sections.run import Run
-from roadsight.io.records.atomic import atomic_path
+from roadsight.io.records.atomic import write_text
 from roadsight.io.records.text_tables import write_csv
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
 from roadsight.report.files import read_assets
@@ -45,8 +45,7 @@ def run_hardcases(
             )
     write_csv(table, case_table(results))
     assets = read_assets(ASSETS)
-    with atomic_path(page) as temporary:
-        temporary.write_text(render_hardcases(results, assets, __version__), encoding="utf-8")
+    write_text(page, render_hardcases(results, assets, __version__))
     log.info("%d of %d cases hold", sum(result.passed for result in results), len(results))
     if news := [r.case.name for r in results if r.passed == bool(r.case.known)]:
         log.error("differ from what the catalogue says of them: %s", ", ".join(news))

@@ -12,7 +12,7 @@ import pandas as pd
 
 from roadsight import __version__
 from roadsight.evidence.effects_audit import COLUMNS, never_mattering
-from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.atomic import read_json, write_text
 from roadsight.report.evidence.audit_page import STYLES, TEMPLATE, plain_table, render_page
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command
@@ -35,14 +35,9 @@ def write_audit(
     for effect in never_mattering(rows):
         log.warning("%s matters at none of the sites", effect)
     assets = read_assets((TEMPLATE, *STYLES))
-    _write(csv, pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(index=False))
-    _write(table, plain_table(rows))
-    _write(page, render_page(rows, assets, __version__))
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(csv, pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(index=False))
+    write_text(table, plain_table(rows))
+    write_text(page, render_page(rows, assets, __version__))
 
 
 main = Command(write_audit)

@@ -19,8 +19,8 @@ from pyproj import CRS
 from roadsight.geometry.crs import horizontal, with_heights
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
-from roadsight.io.records.atomic import atomic_path, check_geopackage, read_json
-from roadsight.io.vector.vectors import FIXED_DATE, fixed_date, native_features, read_layer
+from roadsight.io.records.atomic import atomic_path, check_geopackage, read_json, write_text
+from roadsight.io.vector.vectors import FIXED_DATE, fixed_date, native_features, points, read_layer
 from roadsight.report.handover.drawing import drawing
 from roadsight.report.handover.kml import kml
 from roadsight.report.handover.layers import (
@@ -29,7 +29,6 @@ from roadsight.report.handover.layers import (
     bounds_native,
     measured_layers,
     plan_layers,
-    points,
     pole_layers,
     scene_layers,
     sensor_table,
@@ -95,8 +94,7 @@ def write_handover(
         drawing_path: drawing(layers, frame, about["unit"]),
     }
     for path, text in texts.items():
-        with atomic_path(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(path, text)
     log.info("%d layers, %d features", len(layers), sum(len(layer.features) for layer in layers))
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from roadsight import __version__
 from roadsight.evidence import paper
-from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.atomic import read_json, write_text
 from roadsight.report.evidence.paper_page import ASSETS, render_paper
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command
@@ -30,8 +30,7 @@ def write_paper(
     table = pd.DataFrame(rows, columns=list(paper.COLUMNS))
     html = render_paper(rows, measured, size, read_assets(ASSETS), __version__)
     for path, text in ((csv, table.to_csv(index=False)), (page, html)):
-        with atomic_path(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(path, text)
 
 
 main = Command(write_paper)

@@ -86,13 +86,21 @@ def write_poles_page(
     about, summary = read_json(frame), read_json(summary_path)
     edges = read_table(road_edges, ["x", "y", "z"])
     cameras, places, seen = _joined(cameras_paths), read_table(frames), _joined(sightings)
-    found, withheld = _kept(read_table(poles))
+    located = read_table(poles)
+    kept = located["kept"].to_numpy(bool)
+    found, withheld = located[kept].reset_index(drop=True), located.loc[~kept, "reason"].astype(str)
     owner = match_sightings(seen, found)
     rated = read_table(hazard) if hazard else pd.DataFrame()
-    hide = _Hidden(places, masks) if settings.blur else _shown
+    scores = read_json(validation) if validation else None
+    if scores is not None and components:
+        scores["ablation"] = read_json(components)
+    hide: Hide = _Hidden(places, masks) if settings.blur else lambda _, image: image
     read_image = _reader(images, drive, lenses, places, hide) if images else None
     best = _best(found, seen, owner, places) if images else []
     best += _projected(found, cameras, places) if images else []
+    rank = {} if rated.empty else dict(zip(rated["id"].astype(str), rated["rank"], strict=True))
+    # The most dangerous first.
+    names = sorted((name for name, _, _ in best), key=lambda name: rank.get(name, np.inf))
     result = PolesResult(
         read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
@@ -106,11 +114,11 @@ def write_poles_page(
         _image_edges(image_edges, places["image"]),
         read_image,
         _depth_fit(dem, masks, depth, cameras, Frame.from_dict(about)),
-        _validation(components, validation),
+        scores,
         [path.name for path in files],
         read_table(sections) if sections else pd.DataFrame(),
         read_about(sections).get("profiles", {}) if sections else {},
-        _pictures(best, _most_dangerous(best, rated), read_image, pictures),
+        _pictures(best, names[:MOST_PICTURES], read_image, pictures),
         settings.blur,
     )
     page = build_poles_page(title or site, summary, about, result)
@@ -119,17 +127,6 @@ def write_poles_page(
         "%d images, %d shown, %d poles", counts["images"], len(page["images"]), counts["poles"]
     )
     write_json(out, page)
-
-
-def _kept(poles: pd.DataFrame) -> tuple[pd.DataFrame, pd.Series]:
-    """Poles that are kept, and the reasons of the others."""
-    kept = poles["kept"].to_numpy(bool)
-    return poles[kept].reset_index(drop=True), poles.loc[~kept, "reason"].astype(str)
-
-
-def _shown(path: str, image: Bytes) -> Bytes:
-    """The image as it is."""
-    return image
 
 
 class _Hidden:
@@ -203,13 +200,6 @@ def _projected(poles: pd.DataFrame, cameras: pd.DataFrame, frames: pd.DataFrame)
             best = max(shown, key=lambda image: shown[image][3] - shown[image][1])
             found.append((name, views[best], shown[best]))
     return found
-
-
-def _most_dangerous(best: Sequence[_Best], hazard: pd.DataFrame) -> list[str]:
-    """Ids of the poles whose pictures the page holds, the most dangerous first."""
-    rank = dict(zip(hazard["id"].astype(str), hazard["rank"], strict=True)) if len(hazard) else {}
-    names = [name for name, _, _ in best]
-    return sorted(names, key=lambda name: rank.get(name, np.inf))[:MOST_PICTURES]
 
 
 def _pictures(
@@ -323,16 +313,6 @@ def _view_camera(pose: pd.Series) -> tuple[ViewCamera, pd.Series]:
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
     return ViewCamera(own, position, *angles), pose
-
-
-def _validation(components: Path | None, validation: Path | None) -> dict[str, Any] | None:
-    """Scores against known poles, with those of the components where they were compared."""
-    if not validation:
-        return None
-    content: dict[str, Any] = read_json(validation)
-    if components:
-        content["ablation"] = read_json(components)
-    return content
 
 
 main = Command(write_poles_page)

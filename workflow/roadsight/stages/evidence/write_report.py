@@ -11,7 +11,7 @@ from typing import Annotated
 from plotly.offline import get_plotlyjs
 
 from roadsight import __version__
-from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.atomic import read_json, write_text
 from roadsight.io.records.run_records import RunRecord
 from roadsight.report.document import render_report, result_files
 from roadsight.report.files import ASSETS, read_assets
@@ -38,8 +38,7 @@ def write_report(
     made = {found["site"]: RunRecord.from_dict(found) for found in map(read_json, runs)}
     files = {site: result_files(results, site) for site in sites}
     html = render_report(pages, poles, assets, get_plotlyjs(), __version__, further, made, files)
-    with atomic_path(out) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(out, html)
     log.info("%d sites, %.1f MB", len(sites), len(html) / 1e6)
 
 

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any
@@ -149,14 +150,15 @@ def _placement(found: PlacementResults, sensors: Path, frame: Frame) -> Placemen
     coverage = read_json(found.coverage[0])["plans"]
     targets = read_table(found.targets[0])
     files = (found.obstacles, found.scans)
+    shares = partial(_shares, targets=targets["target"], frame=frame)
     plans = [
         _plan(
             solution,
             titles,
             coverage[solution["plan"]]["uncovered"],
             frame,
-            _in_sight(solution, layers, targets["target"], frame),
-            _lost(lost, targets["target"], frame),
+            shares(layers if "availability" in solution else None, "availability"),
+            shares(lost, "lost_share"),
             *of_plan,
         )
         for solution, layers, lost, *of_plan in zip(
@@ -216,30 +218,16 @@ def _plan(
     )
 
 
-def _in_sight(
-    solution: dict[str, Any], layers: Path, targets: pd.Series, frame: Frame
-) -> Floats | None:
-    """Share of the time in which a plan has each target in sight; None without traffic.
+def _shares(layers: Path | None, column: str, targets: pd.Series, frame: Frame) -> Floats | None:
+    """What a column of a plan's targets says of each (n,); None where nobody looked.
 
     Parameters
     ----------
-    solution : content of solution.json. layers : its solution.gpkg. targets : names, in order.
-
-    Returns
-    -------
-    (n,), 0 for targets that the plan leaves out.
+    targets : names, in order; 0 for those that the plan leaves out.
     """
-    if "availability" not in solution:
-        return None
-    shares = read_layer(layers, "targets", frame).set_index("target")["availability"]
-    return np.asarray(shares.reindex(targets).fillna(0.0), np.float64)
-
-
-def _lost(layers: Path | None, targets: pd.Series, frame: Frame) -> Floats | None:
-    """Share of the changes (n,) that lose each target; None where nobody looked."""
     if layers is None:
         return None
-    shares = read_layer(layers, "targets", frame).set_index("target")["lost_share"]
+    shares = read_layer(layers, "targets", frame).set_index("target")[column]
     if shares.isna().all():
         return None
     return np.asarray(shares.reindex(targets).fillna(0.0), np.float64)

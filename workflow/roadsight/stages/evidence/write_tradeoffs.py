@@ -14,7 +14,7 @@ from roadsight import __version__
 from roadsight.evidence.costs import with_base_costs
 from roadsight.evidence.studies import Tradeoffs, load_tradeoffs
 from roadsight.evidence.tradeoffs import COLUMNS, Cost, precision_rows, study_rows
-from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.atomic import read_json, write_text
 from roadsight.report.evidence.tradeoffs_page import (
     STYLES,
     TEMPLATE,
@@ -55,9 +55,9 @@ def write_tradeoffs(
             log.warning("%s: the default is off the frontier of %s", row["knob"], row["metric"])
     stages = stage_rows(tradeoffs.published_stages, _pole_costs(tradeoffs, levels), length_km)
     assets = read_assets((TEMPLATE, *STYLES))
-    _write(csv, pd.DataFrame(rows)[list(COLUMNS)].to_csv(index=False))
-    _write(table, plain_table(rows))
-    _write(page, render_page(tradeoffs.studies, rows, stages, assets, __version__))
+    write_text(csv, pd.DataFrame(rows)[list(COLUMNS)].to_csv(index=False))
+    write_text(table, plain_table(rows))
+    write_text(page, render_page(tradeoffs.studies, rows, stages, assets, __version__))
 
 
 def _levels(
@@ -86,11 +86,6 @@ def _pole_costs(tradeoffs: Tradeoffs, levels: dict[str, dict[str, Any]]) -> dict
             if rule not in found or cost.cpu_s < found[rule].cpu_s:
                 found[rule] = cost
     return found
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 main = Command(write_tradeoffs)

@@ -60,7 +60,7 @@ def detect_poses(given: PoseFiles, *, out: Path) -> None:
     traffic = read_traffic(given.lanes[0]) if given.lanes else None
     sensor = load_sensors(given.sensors)[given.sensor]
     turns = turns_of(given.yaw_deg, given.pitch_deg, given.roll_deg)
-    detector = detector_of(sensor, _criteria(given))
+    detector = detector_of(sensor, Criteria(given.min_beams, given.rcs_m2, given.min_pixels))
     sight = sight_of(given, given.sensor, sensor)
     tilts, parts, tried = read_tilts(given.tilts), [], 0
     for name, panorama in _panoramas(given):
@@ -82,10 +82,6 @@ def detect_poses(given: PoseFiles, *, out: Path) -> None:
     about |= {"poses_tried": tried, "poses_kept": len(parts)}
     names = targets["target"].astype(str)
     write_detections(out, _table(parts, names, traffic is not None), about)
-
-
-def _criteria(given: PoseFiles) -> Criteria:
-    return Criteria(given.min_beams, given.rcs_m2, given.min_pixels)
 
 
 def _often(

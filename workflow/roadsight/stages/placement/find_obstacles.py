@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
@@ -32,7 +31,7 @@ from roadsight.io.records.placement_tables import (
 )
 from roadsight.io.records.scene_tables import read_surfels
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.vectors import write_layers
+from roadsight.io.vector.vectors import points, write_layers
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
@@ -51,7 +50,6 @@ from roadsight.placement.sight.objects import kind_of_name
 from roadsight.placement.sight.obstacles import (
     NEAREST,
     Cast,
-    ObjectsAt,
     blocked_sight_lines,
     by_object,
     cell_lines,
@@ -129,30 +127,16 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     gaps = _gaps(given, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
     objects_at = object_finder(read_table(given.objects) if given.objects else pd.DataFrame())
-    objects = _objects(lines, objects_at)
+    objects = by_object(lines, objects_at).rename(columns={"object": "name"})
+    objects["kind"] = [kind_of_name(name) for name in objects["name"]]
+    objects = objects.astype(dict.fromkeys("xyz", np.float64))
+    objects = objects.astype(dict.fromkeys(("sight_lines", "targets", "sensors"), np.int64))
     if given.objects:
-        _name_obstacles(obstacles, objects_at)
-    layers = {
-        "obstacles": _points(obstacles),
-        "uncovered": _points(gaps),
-        "objects": _points(objects),
-    }
+        above = (obstacles["kind"] != "ground").to_numpy()
+        names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
+        obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
+    layers = {"obstacles": points(obstacles), "uncovered": points(gaps), "objects": points(objects)}
     write_layers(out, layers, frame, dict.fromkeys(layers, "Point Z"))
-
-
-def _objects(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
-    """Objects with what they hide from the chosen sensors, the greatest first."""
-    table = by_object(lines, objects_at).rename(columns={"object": "name"})
-    table["kind"] = [kind_of_name(name) for name in table["name"]]
-    table = table.astype(dict.fromkeys("xyz", np.float64))
-    return table.astype(dict.fromkeys(["sight_lines", "targets", "sensors"], np.int64))
-
-
-def _name_obstacles(obstacles: pd.DataFrame, objects_at: ObjectsAt) -> None:
-    """Say of obstacles above the ground what kind of object they belong to."""
-    above = (obstacles["kind"] != "ground").to_numpy()
-    names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
-    obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
 
 
 def _hidden_pairs(
@@ -304,12 +288,6 @@ def _reach_m(name: str, sensor: AnySensor, clear_m: float, air: list[dict[str, f
     if isinstance(sensor, Camera):
         return min(sensor.range_m, contrast_range_m(extinction))
     return float(range_in_air_m(clear_m, extinction))
-
-
-def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
-    columns = table.drop(columns=["x", "y", "z"])
-    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
-    return gpd.GeoDataFrame(columns, geometry=geometry)
 
 
 # Why targets stay unseen beyond what stands in the way: weather, dark targets, vehicles.

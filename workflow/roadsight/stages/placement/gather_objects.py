@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 
@@ -18,7 +17,7 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.scene_tables import read_surfels, write_surfels
 from roadsight.io.records.tables import write_table
-from roadsight.io.vector.vectors import write_layers
+from roadsight.io.vector.vectors import points, write_layers
 from roadsight.placement.sight.objects import objects_of
 from roadsight.stages.command import Command
 
@@ -58,11 +57,7 @@ def gather_objects(
     part = centres[stays].reset_index(drop=True)
     part["object"] = pd.Categorical(objects["name"].to_numpy()[row[stays]])
     write_table(members, part)
-    layer = gpd.GeoDataFrame(
-        objects.drop(columns=["x", "y", "z"]),
-        geometry=gpd.points_from_xy(objects["x"], objects["y"], objects["z"]),
-    )
-    write_layers(objects_path, {"objects": layer}, frame, {"objects": "Point Z"})
+    write_layers(objects_path, {"objects": points(objects)}, frame, {"objects": "Point Z"})
     kinds = ", ".join(f"{n} {kind}" for kind, n in objects["kind"].value_counts().items())
     log.info("%d objects (%s); %d removed", len(objects), kinds, len(removed))
 

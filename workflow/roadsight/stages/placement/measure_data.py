@@ -25,7 +25,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.placement_tables import read_detections, read_poses, read_tilts
 from roadsight.io.records.tables import read_about
-from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.io.vector.vectors import points, read_layer, write_layers
 from roadsight.placement.plans.handover import (
     data_rates,
     distances_m,
@@ -88,17 +88,36 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
         read_json(given.solution)["sensors"], columns=["candidate", "sensor", "x", "y", "z"]
     )
     targets, feet_m, shape = read_shaped_targets(given)
-    on_targets = points_by_height(given, chosen, feet_m, shape)
+    cell_m = float(read_about(given.targets)["cell_size_m"])
+    edges = list(read_layer(given.edges, "edges", frame).geometry)
+    sensors = load_sensors(given.sensors)
+    kinds = [sensors[name] for name in chosen["sensor"]]
+    named = zip(chosen["sensor"], kinds, strict=True)
+    reach_m = [sight_of(given, name, kind).max_range_m for name, kind in named]
     hits = _hits(given.detections, chosen, targets["target"])
+    on_road = _on_road(given, frame, len(chosen))
+    on_targets = points_by_height(given, chosen, feet_m, shape)
     seen = hits > 0
     times_seen = seen.sum(axis=0, dtype=np.int64)
-    lost, if_dark, if_shorter = _margins(given, chosen, seen, feet_m, shape.height_m)
-    edges = list(read_layer(given.edges, "edges", frame).geometry)
+    # What dark targets and a third less range would lose, from the plan's own detections.
+    places = chosen[["x", "y", "z"]].to_numpy(np.float64).reshape(-1, 3)
+    away_m = distances_m(places, feet_m, shape.height_m)
+    lost, if_dark, if_shorter = margins(seen, away_m, *ranges_m(kinds, reach_m))
     along = stations_m(edges, targets[["x", "y"]].to_numpy(np.float64))
     at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
-    cell_m = float(read_about(given.targets)["cell_size_m"])
     pairs = overlaps(seen, along, at, cell_m)
-    table = chosen.assign(along_road_m=at, **_rates(given, frame, chosen))
+    curves = Curves(Curve(*given.lidar_curve), Curve(*given.camera_curve))
+    probability = found_by_plan(hits, [curves.of(kind) for kind in kinds])
+    if probability is not None:
+        probability["curves"] = {"lidar": given.lidar_curve, "camera": given.camera_curve}
+    rates = [data_rates(kind, given.frames_hz) for kind in kinds]
+    scans_per_s = np.array([frames_per_s(kind, given.frames_hz) for kind in kinds])
+    table = chosen.assign(
+        along_road_m=at,
+        points_per_s=np.array([rate.get("points_per_s", 0.0) for rate in rates]),
+        pixels_per_s=np.array([rate.get("pixels_per_s", 0.0) for rate in rates]),
+        road_points_per_s=scans_per_s * on_road,
+    )
     for pair in pairs:
         table.loc[pair["sensor"], "overlap_with_next_m"] = pair["length_m"]
     totals = {
@@ -106,22 +125,21 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
         for name in ("points_per_s", "pixels_per_s", "road_points_per_s")
     }
     shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
+    names = chosen["candidate"].astype(str)
+    told = table.drop(columns=["x", "y", "z"])
     content = {
         **handover(times_seen),
         "margins": lost,
-        "probability": _probability(given, chosen, hits),
+        "probability": probability,
         "heights": heights_of_plan(on_targets, times_seen > 0, shape.height_m),
         "mean_overlap_m": shared,
-        "overlaps": [_named(pair, chosen) for pair in pairs],
+        "overlaps": [
+            pair | {end: names[pair[end]] for end in ("sensor", "next")} for pair in pairs
+        ],
         **totals,
-        "sensors": table.drop(columns=["x", "y", "z"])
-        .astype(object)
-        .where(table.drop(columns=["x", "y", "z"]).notna(), None)
-        .to_dict("records"),
+        "sensors": told.astype(object).where(told.notna(), None).to_dict("records"),
     }
     write_json(out, content)
-    points = gpd.points_from_xy(table["x"], table["y"], table["z"])
-    layer = gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=points)
     feet = gpd.GeoDataFrame(
         {
             "target": targets["target"].astype(str),
@@ -132,24 +150,12 @@ def measure_data(given: PlanDataFiles, *, out: Path, layers: Path) -> None:
         | dict(height_columns(on_targets)),
         geometry=gpd.points_from_xy(*feet_m[:, :3].T),
     )
-    write_layers(layers, {"sensors": layer, "targets": feet}, frame)
+    write_layers(layers, {"sensors": points(table), "targets": feet}, frame)
     log.info(
         "%.0f points a second, %.0f on the road",
         totals["points_per_s"],
         totals["road_points_per_s"],
     )
-
-
-def _margins(
-    given: PlanDataFiles, chosen: pd.DataFrame, seen: Bools, feet_m: Floats, height_m: float
-) -> tuple[dict[str, Any], Bools, Bools]:
-    """What dark targets and a third less range would lose, from the plan's own detections."""
-    sensors = load_sensors(given.sensors)
-    kinds = [sensors[name] for name in chosen["sensor"]]
-    names = zip(chosen["sensor"], kinds, strict=True)
-    reach_m = [sight_of(given, name, kind).max_range_m for name, kind in names]
-    places = chosen[["x", "y", "z"]].to_numpy(np.float64).reshape(-1, 3)
-    return margins(seen, distances_m(places, feet_m, height_m), *ranges_m(kinds, reach_m))
 
 
 def _hits(paths: Sequence[Path], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.uint16]:
@@ -168,30 +174,6 @@ def _hits(paths: Sequence[Path], chosen: pd.DataFrame, targets: pd.Series) -> ND
     return hits
 
 
-def _probability(
-    given: PlanDataFiles, chosen: pd.DataFrame, hits: NDArray[np.uint16]
-) -> dict[str, Any] | None:
-    """How likely the targets are found by what their sensors measure, and by which curves."""
-    curves = Curves(Curve(*given.lidar_curve), Curve(*given.camera_curve))
-    sensors = load_sensors(given.sensors)
-    found = found_by_plan(hits, [curves.of(sensors[name]) for name in chosen["sensor"]])
-    said = {"lidar": given.lidar_curve, "camera": given.camera_curve}
-    return None if found is None else found | {"curves": said}
-
-
-def _rates(given: PlanDataFiles, frame: Frame, chosen: pd.DataFrame) -> dict[str, Floats]:
-    """Points and pixels a second of each sensor, and its points on the road."""
-    sensors = load_sensors(given.sensors)
-    kinds = [sensors[name] for name in chosen["sensor"]]
-    rates = [data_rates(kind, given.frames_hz) for kind in kinds]
-    scans = np.array([frames_per_s(kind, given.frames_hz) for kind in kinds])
-    return {
-        "points_per_s": np.array([rate.get("points_per_s", 0.0) for rate in rates]),
-        "pixels_per_s": np.array([rate.get("pixels_per_s", 0.0) for rate in rates]),
-        "road_points_per_s": scans * _on_road(given, frame, len(chosen)),
-    }
-
-
 def _on_road(given: PlanDataFiles, frame: Frame, count: int) -> Floats:
     """Returns of one simulated scan of each sensor within the pavement's outline."""
     if not count:
@@ -203,11 +185,6 @@ def _on_road(given: PlanDataFiles, frame: Frame, count: int) -> Floats:
     number = scan.dims["point_source_id"].astype(np.int64) - 1
     on_road = inside(outline, xyz_m[:, 0], xyz_m[:, 1])
     return np.bincount(number[on_road], minlength=count).astype(np.float64)
-
-
-def _named(pair: dict[str, Any], chosen: pd.DataFrame) -> dict[str, Any]:
-    names = chosen["candidate"]
-    return pair | {"sensor": str(names[pair["sensor"]]), "next": str(names[pair["next"]])}
 
 
 class _Place(NamedTuple):
@@ -318,23 +295,20 @@ def heights_of_plan(
     unit, and bands: from_m and to_m above the foot, mean and median of the targets, and share_none
     of them that have less than one point there
     """
-    if not seen.any():
-        return []
-    return [
-        {"unit": unit, "bands": [_band(k, part[seen], height_m) for k in range(part.shape[1])]}
-        for unit, part in on_targets.items()
-    ]
-
-
-def _band(number: int, part: Floats, height_m: float) -> dict[str, float]:
-    count, here = part.shape[1], part[:, number]
-    return {
-        "from_m": height_m * number / count,
-        "to_m": height_m * (number + 1) / count,
-        "mean": float(here.mean()),
-        "median": float(np.median(here)),
-        "share_none": float((here < 1).mean()),
-    }
+    found = []
+    for unit, part in on_targets.items() if seen.any() else ():
+        bands = [
+            {
+                "from_m": height_m * number / part.shape[1],
+                "to_m": height_m * (number + 1) / part.shape[1],
+                "mean": float(here.mean()),
+                "median": float(np.median(here)),
+                "share_none": float((here < 1).mean()),
+            }
+            for number, here in enumerate(part[seen].T)
+        ]
+        found.append({"unit": unit, "bands": bands})
+    return found
 
 
 def height_columns(on_targets: dict[str, Floats]) -> pd.DataFrame:

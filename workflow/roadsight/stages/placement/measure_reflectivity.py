@@ -43,16 +43,15 @@ def measure_reflectivity(
     lidars = {
         name: sensor for name in names if isinstance(sensor := definitions[name], Sensor | Rosette)
     }
-    ranges = {name: _target_range_m(sensor, rho) for name, sensor in lidars.items()}
+    # Zero stands for the reflectivity at which the sensor's range is stated.
+    ranges = {
+        name: float(reflectivity_range_m(sensor, rho)) if rho else sensor.range_m
+        for name, sensor in lidars.items()
+    }
     write_table(surfaces, _surfaces(cloud, frame, pavement))
     for name, range_m in ranges.items():
         log.info("%s sees targets of reflectivity %g up to %.1f m", name, rho, range_m)
     write_json(out, {"target_reflectivity": rho, "target_range_m": ranges})
-
-
-def _target_range_m(sensor: Sensor | Rosette, reflectivity: float) -> float:
-    """Range to targets; 0 stands for the reflectivity at which the sensor's range is stated."""
-    return float(reflectivity_range_m(sensor, reflectivity)) if reflectivity else sensor.range_m
 
 
 def _surfaces(cloud_path: Path, frame_path: Path, pavement_path: Path) -> pd.DataFrame:

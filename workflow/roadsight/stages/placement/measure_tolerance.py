@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 
@@ -16,7 +15,7 @@ from roadsight.base.arrays import Bools
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.placement_tables import read_detections
-from roadsight.io.vector.vectors import write_layers
+from roadsight.io.vector.vectors import points, write_layers
 from roadsight.placement.plans.tolerance import Change, lost_shares, tolerance_of
 from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
@@ -74,16 +73,13 @@ def measure_tolerance(
     write_json(out, content)
     known = found.cases > 0
     shares = lost_shares(found.times_lost, found.lost_alone, found.cases)
-    layer = gpd.GeoDataFrame(
-        {
-            "target": table["target"].astype(str),
-            "times_lost": found.times_lost if known else np.nan,
-            "lost_alone": found.lost_alone.astype(np.int32),
-            "lost_share": shares if known else np.nan,
-        },
-        geometry=gpd.points_from_xy(table["x"], table["y"], table["z"]),
+    layer = table[["x", "y", "z"]].assign(
+        target=table["target"].astype(str),
+        times_lost=found.times_lost if known else np.nan,
+        lost_alone=found.lost_alone.astype(np.int32),
+        lost_share=shares if known else np.nan,
     )
-    write_layers(layers, {"targets": layer}, frame, {"targets": "Point Z"})
+    write_layers(layers, {"targets": points(layer)}, frame, {"targets": "Point Z"})
     for row in rows:
         log.info(
             "%s: at most %d targets lost (%.1f %%)", row["kind"], row["lost"], 100 * row["share"]

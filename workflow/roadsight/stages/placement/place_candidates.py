@@ -118,11 +118,11 @@ def candidates_at(
 ) -> pd.DataFrame:
     """Candidates at every free height of the given positions, where a mast can be built."""
     dem = read_raster(given.dem, frame)
-    positions = positions.assign(
-        ground_z_m=dem.sample(positions["x"].to_numpy(), positions["y"].to_numpy()),
-        off_pavement_m=_off_pavement_m(positions, pavement),
-    )
-    xy = positions[["x", "y"]].to_numpy()
+    xy = positions[["x", "y"]].to_numpy(np.float64)
+    off_m = np.full(len(xy), np.inf)
+    if not pavement.is_empty:
+        off_m = shapely.distance(shapely.points(xy), pavement)
+    positions = positions.assign(ground_z_m=dem.sample(*xy.T), off_pavement_m=off_m)
     near = _points_near(given.cloud, given.ground, xy, settings.search_radius_m)
     if near.ground_xy_m is not None:
         standing = (positions["mount"] == POLE).to_numpy()
@@ -135,14 +135,6 @@ def candidates_at(
     heights = points[:, 2] - positions["ground_z_m"].to_numpy()[np.asarray(nearest, np.int64)]
     roofs = given.overhead_cover == "simulate"
     return stack_candidates(positions, points, heights, settings, near.around_xyz_m, roofs)
-
-
-def _off_pavement_m(positions: pd.DataFrame, pavement: MultiPolygon) -> Floats:
-    """Distance of each position from the pavement, 0 on it; infinite where there is none."""
-    places = shapely.points(positions[["x", "y"]].to_numpy(np.float64))
-    if pavement.is_empty:
-        return np.full(len(positions), np.inf)
-    return np.asarray(shapely.distance(places, pavement))
 
 
 @dataclass(frozen=True)

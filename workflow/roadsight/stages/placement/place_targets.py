@@ -12,7 +12,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
@@ -60,7 +59,8 @@ def write_targets(
     least = needed if local else int(grid.min_points)
     targets = place_targets(points.to_numpy(), grid.cell_size_m, least, local)
     frame = Frame.from_dict(read_json(frame_path))
-    outline = _outline(outline_path, frame)
+    layer = read_layer(outline_path, "pavement", frame)
+    outline = shapely.multipolygons(shapely.get_parts(layer.geometry.to_numpy()))
     edges = read_layer(edges_paths[0], "edges", frame) if edges_paths else None
     digitised = [] if edges is None else list(edges.geometry[edges["source"] == "digitised"])
     road = road_within(outline, digitised)
@@ -76,8 +76,10 @@ def write_targets(
         inside, columns_rows, outline, grid.cell_size_m, max(rim_m, 0.0)
     )
     if box:
+        if edges is None:
+            raise InputError("boxes stand along edges, which are missing", where=str(out))
         feet_xy_m = inside[["x", "y"]].to_numpy(np.float64)
-        inside["heading_rad"] = headings_along(_lines(edges, out), feet_xy_m)
+        inside["heading_rad"] = headings_along(list(edges.geometry), feet_xy_m)
     examined_m2 = float(inside["area_m2"].sum())
     log.info(
         "%d targets on %d pavement points examine %.0f of %.0f m2; %d more stand off the road or"
@@ -113,17 +115,6 @@ def _insets_m(inset_m: float | str, targets: pd.DataFrame, given: bool) -> Float
     if inset_m != LOCAL:
         return np.full(len(targets), float(inset_m))
     return np.zeros(len(targets)) if given else targets["spacing_m"].to_numpy(np.float64)
-
-
-def _lines(edges: gpd.GeoDataFrame | None, out: Path) -> list[LineString]:
-    if edges is None:
-        raise InputError("boxes stand along edges, which are missing", where=str(out))
-    return list(edges.geometry)
-
-
-def _outline(path: Path, frame: Frame) -> MultiPolygon:
-    parts = shapely.get_parts(read_layer(path, "pavement", frame).geometry.to_numpy())
-    return shapely.multipolygons(parts)
 
 
 main = Command(write_targets)

@@ -97,10 +97,16 @@ def _write(
     waiting: dict[str, bytes] = {}
     render = None
     what = f"{given.sensor} depth maps"
-    taken, feet_m = 0, _feet_m(given)
+    taken, feet_m = 0, None
+    if given.targets and given.model == "surfel":  # else beams are cast for all that there is
+        feet_m = read_table(given.targets, ["x", "y", "z"]).to_numpy(np.float64)
+    curved = given.curvature == "simulate"
     for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
         tilt = tilts.get(name)
-        wanted = _wanted(given, sensor, (position_m, yaw_deg), feet_m, tilt)
+        wanted = np.ones(sensor.shape, bool)
+        if feet_m is not None:
+            pose = (position_m, yaw_deg)
+            wanted = beams_wanted(sensor, *pose, feet_m, given.room_m, tilt, curved)
         if earlier is not None and name in known:
             while name not in waiting:
                 found, content = next(stored)
@@ -116,27 +122,6 @@ def _write(
             render = _renderer(given, sensor, np.array(missing).reshape(-1, 4))
         writer.append(name, render(sensor, position_m, yaw_deg, tilt, wanted))
     log.info("%d of %d maps are those of an earlier run", taken, len(poses))
-
-
-def _feet_m(given: DepthFiles) -> Floats | None:
-    """Feet (n, 3) of the targets for which beams are cast; None: for all that there is."""
-    if not given.targets or given.model != "surfel":
-        return None
-    return read_table(given.targets, ["x", "y", "z"]).to_numpy(np.float64)
-
-
-def _wanted(
-    given: DepthFiles,
-    sensor: Sensor,
-    pose: tuple[ArrayLike, float],
-    feet_m: Floats | None,
-    tilt: Tilt,
-) -> Bools:
-    """Beams (rows, columns) to cast from a pose."""
-    if feet_m is None:
-        return np.ones(sensor.shape, bool)
-    curved = given.curvature == "simulate"
-    return beams_wanted(sensor, *pose, feet_m, given.room_m, tilt, curved)
 
 
 def _step(given: DepthFiles, sensor: Sensor) -> str:

@@ -13,7 +13,6 @@ from typing import Annotated
 
 import numpy as np
 
-from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Run
 from roadsight.io.cloud.tiles import StandingCloud
@@ -41,7 +40,12 @@ def render_depth_pairs(
 ) -> None:
     """Write the pairs of one site."""
     rng = np.random.default_rng(seed)
-    poses = _poses(candidates, pairs, rng)
+    table = read_table(candidates, _COLUMNS)
+    if table.empty:
+        raise InputError("has no candidate to stand at", where=str(candidates))
+    chosen = table.iloc[rng.integers(len(table), size=pairs)]
+    poses = chosen[_COLUMNS].to_numpy(np.float64, copy=True)
+    poses[:, 2] += rng.uniform(*HEIGHTS_M, len(poses))
     cloud = StandingCloud(cloud_path, traffic)
     reach_m = max(RANGES_M)
     west, south = poses[:, :2].min(axis=0) - reach_m
@@ -53,17 +57,6 @@ def render_depth_pairs(
         seen = xyz_m, sensor, position_m, float(yaw_deg)
         made.append((preliminary_depth(*seen), hybrid_depth(*seen)))
     write_pairs(out, stack_pairs(made))
-
-
-def _poses(candidates_path: Path, pairs: int, rng: np.random.Generator) -> Floats:
-    """Random candidates (n, 4) at random heights: x, y, z and yaw."""
-    candidates = read_table(candidates_path, _COLUMNS)
-    if candidates.empty:
-        raise InputError("has no candidate to stand at", where=str(candidates_path))
-    chosen = candidates.iloc[rng.integers(len(candidates), size=pairs)]
-    poses = chosen[_COLUMNS].to_numpy(np.float64, copy=True)
-    poses[:, 2] += rng.uniform(*HEIGHTS_M, len(poses))
-    return poses
 
 
 main = Command(render_depth_pairs)

@@ -22,7 +22,7 @@ from roadsight.geometry.north import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.placement_tables import read_traffic
 from roadsight.io.records.tables import read_about, read_table
-from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.io.vector.vectors import points, read_layer, write_layers
 from roadsight.placement.candidates.siting import needs_by_area
 from roadsight.placement.plans.availability import (
     CommonTraffic,
@@ -37,6 +37,7 @@ from roadsight.placement.plans.plan_doubts import plan_doubts
 from roadsight.placement.plans.plan_problem import Asked, pose, posed_candidates
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.detection import availability, times_seen
+from roadsight.placement.sight.lanes import Traffic
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import Effort, WorkLimit
 from roadsight.setcover.common.problem import HIGHS, WITHIN_GAP
@@ -91,23 +92,24 @@ def solve_cover(
     uncovered = read_json(given.coverage)["plans"][given.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
     asked = read_asked(given, frame)
+    edges = read_layer(given.edges, "edges", frame) if given.edges else None
+    traffic = read_traffic(given.lanes[0]).lanes if given.lanes else None
+    sight = ChangedSight(given) if given.robust else None
     _check_uncovered(given, targets, uncovered, asked)
     matrix = plan.matrix(wanted["target"])
-    answered = levelled = None
+    answered = levelled = looked_at = None
     robust: dict[str, Any] = {}
-    looked_at: Bools | None = None
-    if given.robust:
+    if sight is not None:
         matrix, wanted, beyond, robust, looked_at = _with_tolerance(
-            given, asked, matrix, choices, candidates, wanted
+            given, sight, asked, matrix, choices, candidates, wanted
         )
         uncovered = [*uncovered, *beyond]
-    again = _Again(given, frame, wanted, looked_at)
+    again = _Again(given, edges, wanted, looked_at)
     if given.availability is not None:
         levelled = cover_at_level(
-            given, given.availability, detections, choices, candidates, wanted
+            given, given.availability, traffic, detections, choices, candidates, wanted
         )
         cover = levelled.cover
-        _check_solved(given, cover)
     elif asked is None:
         cover = _cheapest(given, matrix, choices, again)
     else:
@@ -118,8 +120,7 @@ def solve_cover(
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(given, cover, sensors, targets, uncovered)
-    content |= robust | again.records
-    content |= _proven_area(wanted, content["at_least"])
+    content |= robust | again.records | _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
         content["at_least"] = 1  # the level says how often, not how many sensors
@@ -127,11 +128,11 @@ def solve_cover(
         chosen = set(sensors[["sensor", "candidate"]].apply(tuple, axis=1))
         wanted["availability"] = availability(detections, chosen, wanted["target"])
         content["availability"] = described(wanted["availability"].to_numpy())
-    layers = {"sensors": _points(_located(sensors, frame)), "targets": _points(wanted)}
+    layers = {"sensors": points(_located(sensors, frame)), "targets": points(wanted)}
     if answered is not None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
-        layers["sensors"] = _points(_located(sensors, frame))
+        layers["sensors"] = points(_located(sensors, frame))
     write_layers(layers_path, layers, frame, dict.fromkeys(layers, "Point Z"))
     _tell(given, content, candidates, doubts)
     write_json(timing, {"seconds_cpu": cover.seconds_cpu})
@@ -159,6 +160,7 @@ def _tell(
 
 def _with_tolerance(
     given: CoverFiles,
+    sight: ChangedSight,
     asked: Asked | None,
     matrix: sparse.csr_matrix,
     choices: pd.DataFrame,
@@ -166,9 +168,7 @@ def _with_tolerance(
     wanted: pd.DataFrame,
 ) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any], Bools]:
     """What sensors see with tolerance, its targets, those that none sees so; rows looked at."""
-    sight = ChangedSight(given)
     column = pd.Index(sight.targets["target"]).get_indexer(wanted["target"])
-    beyond: list[str] = []
 
     def look(row: int) -> Bools:
         choice = choices.iloc[row]
@@ -227,7 +227,11 @@ class _Again:
     """
 
     def __init__(
-        self, given: CoverFiles, frame: Frame, wanted: pd.DataFrame, looked_at: Bools | None
+        self,
+        given: CoverFiles,
+        edges: gpd.GeoDataFrame | None,
+        wanted: pd.DataFrame,
+        looked_at: Bools | None,
     ) -> None:
         self.record: dict[str, Any] | None = None
         self.verified: dict[str, Any] | None = None
@@ -236,11 +240,10 @@ class _Again:
         self._allowed, self._gap = looked_at, given.cover.gap
         self._cell_m = 0.0
         self._stretch: Ints | None = None
-        if given.edges and self._limit_s:
+        if edges is not None and self._limit_s:
             self._cell_m = float(read_about(given.targets)["cell_size_m"])
-            edges = list(read_layer(given.edges, "edges", frame).geometry)
             places = wanted[["x", "y"]].to_numpy(np.float64)
-            self._stretch = stretches(stations_m(edges, places), self._cell_m)
+            self._stretch = stretches(stations_m(list(edges.geometry), places), self._cell_m)
 
     @property
     def records(self) -> dict[str, Any]:
@@ -317,10 +320,7 @@ def _option_layers(
     swaps = table([row for _, row in answered.alternatives])
     replaced = [int(answered.cover.chosen[k]) for k, _ in answered.alternatives]
     swaps["replaces"] = choices["candidate"].iloc[replaced].tolist()
-    return {
-        "alternatives": _points(swaps),
-        "different": _points(table(answered.different.tolist())),
-    }
+    return {"alternatives": points(swaps), "different": points(table(answered.different.tolist()))}
 
 
 def _check_uncovered(
@@ -352,7 +352,7 @@ def _check_uncovered(
         log.warning("%d of %d targets are seen by no candidate: left out", uncovered, total)
 
 
-def _check_solved(given: CoverFiles, cover: Cover) -> None:
+def _check_solved(given: LevelFiles, cover: Cover) -> None:
     if cover.status == "infeasible":
         if given.availability is not None:
             raise InputError(
@@ -445,20 +445,13 @@ def _located(sensors: pd.DataFrame, frame: Frame) -> pd.DataFrame:
 
     The number is that of the report, from 1.
     """
-    table = sensors.copy()
+    table = sensors.drop(columns="native")
     table.insert(0, "number", np.arange(1, len(table) + 1))
     table["azimuth_deg"] = [bearing_deg(float(yaw)) for yaw in table["yaw_deg"]]
     degrees = longitudes_latitudes(frame, table[["x", "y"]].to_numpy(np.float64))
     unknown = np.full((len(table), 2), np.nan)
     table[["longitude", "latitude"]] = unknown if degrees is None else degrees
     return table
-
-
-def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
-    columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
-    return gpd.GeoDataFrame(
-        columns, geometry=gpd.points_from_xy(table["x"], table["y"], table["z"])
-    )
 
 
 @dataclass(frozen=True)
@@ -479,12 +472,17 @@ class Levelled:
 def cover_at_level(
     given: LevelFiles,
     level: float,
+    traffic: Traffic | None,
     detections: pd.DataFrame,
     choices: pd.DataFrame,
     candidates: pd.DataFrame,
     targets: pd.DataFrame,
 ) -> Levelled:
     """Cheapest sensors that together see each target with the plan's probability.
+
+    Parameters
+    ----------
+    traffic : past which sensors look; None where none is simulated.
 
     Raises
     ------
@@ -495,11 +493,10 @@ def cover_at_level(
     position = choices["position"].to_numpy(np.int64)
     costs = choices["cost"].to_numpy(np.float64)
     oracle = None
-    if given.lanes:
+    if traffic is not None:
         feet = targets[["x", "y", "z"]].to_numpy(np.float64)
         middles = feet + np.array([0.0, 0.0, given.target_height_m / 2])
         sensors_m = candidates[["x", "y", "z"]].to_numpy(np.float64)[position]
-        traffic = read_traffic(given.lanes[0]).lanes
         shares = past_traffic(shares, traffic, sensors_m, middles)
         posed = at_level(shares, costs, position, level)
         oracle = CommonTraffic(traffic, sensors_m, middles, shares, level, posed.below)
@@ -514,6 +511,7 @@ def cover_at_level(
     seen = alone if oracle is None else oracle.joint_shares(cover.chosen)
     below = sorted({*posed.below.tolist(), *(oracle.given_up if oracle else ())})
     _check_below(given, level, below, targets)
+    _check_solved(given, cover)
     record = {
         "level": level,
         "independent": described(alone),

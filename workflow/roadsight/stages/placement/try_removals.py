@@ -14,7 +14,7 @@ import pandas as pd
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Bools
 from roadsight.base.section import needed
 from roadsight.base.sections.placement import Cover, Coverage
 from roadsight.geometry.frames import Frame
@@ -75,7 +75,10 @@ def try_removals(given: RemovalFiles, *, out: Path) -> None:
     if given.felled and len(objects) and not any(key in solution for key in _OTHERWISE):
         members = read_table(given.objects)
         members["object"] = members["object"].astype(str)
-        short = objects[_lengths_m(objects, members) <= _LONGEST_M].iloc[: given.felled]
+        span = members.groupby("object")[["x", "y"]].agg(np.ptp)  # in plan, across its corners
+        length_m = pd.Series(np.hypot(span["x"], span["y"]), span.index, dtype=np.float64)
+        is_short = length_m.reindex(objects["name"]).to_numpy() <= _LONGEST_M
+        short = objects[is_short].iloc[: given.felled]
         rows = _rows(given, solution, short, members, frame) if len(short) else []
     content = {"plan": solution["plan"], "objects": greatest, "rows": rows}
     write_json(out, content)
@@ -83,13 +86,6 @@ def try_removals(given: RemovalFiles, *, out: Path) -> None:
         log.info(
             "without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"]
         )
-
-
-def _lengths_m(objects: pd.DataFrame, members: pd.DataFrame) -> Floats:
-    """Length of each object (n,) in plan, across its corners."""
-    span = members.groupby("object")[["x", "y"]].agg(np.ptp)
-    length_m = pd.Series(np.hypot(span["x"], span["y"]), span.index, dtype=np.float64)
-    return np.asarray(length_m.reindex(objects["name"]), np.float64)
 
 
 def _rows(

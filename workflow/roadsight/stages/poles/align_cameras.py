@@ -158,7 +158,15 @@ def align_cameras(
         if place.image in by_hand:
             rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
             continue
-        drive = _drive(drives, place)
+        key = place.route, place.start.width_px, place.start.height_px
+        if key not in drives:
+            raise InputError(
+                "an image's route and size have no calibration",
+                where="calibration",
+                found=f"{place.image}: {key}",
+                hint="calibrate the drives again",
+            )
+        drive = drives[key]
         if published is not None:
             row = published.row(place, drive, accepted)
         elif dense is not None:
@@ -215,18 +223,6 @@ def corrected(scene: AlignmentScene, place: Place, pose: pd.Series) -> dict[str,
     return camera_row(
         pose, size, BY_HAND, agreement(pose, size, image_edges, map_edges), len(image_edges.uv_px)
     )
-
-
-def _drive(drives: dict[Any, DriveCalibration], place: Place) -> DriveCalibration:
-    key = place.route, place.start.width_px, place.start.height_px
-    if key not in drives:
-        raise InputError(
-            "an image's route and size have no calibration",
-            where="calibration",
-            found=f"{place.image}: {key}",
-            hint="calibrate the drives again",
-        )
-    return drives[key]
 
 
 def aligned(

@@ -56,6 +56,8 @@ log = logging.getLogger("calibrate_drive")
 _Item = TypeVar("_Item")
 _FEW = 12
 """Images that tell the focal length roughly: all are aligned anew for each of 14 focal lengths."""
+_TOLD = ("hfov_deg", "cx_shift_px", "yaw_deg", "pitch_deg", "height_m")
+"""What the log says of a drive's camera."""
 _SURE_LENS = 1e-4
 """Least standard deviation of the logarithm of a known focal length; zero has no inverse."""
 
@@ -75,7 +77,12 @@ def calibrate_drives(
     """Calibrate each drive (route and image size) and measure the error of its track."""
     scene = read_scene(files, given.intrinsics)
     baselines = read_baselines(baseline) if baseline else {}
-    shared = _shared_points(matches)
+    shared: Shared = {}
+    if matches:
+        pixels = ["u", "v", "u_other", "v_other"]
+        table = pd.concat([read_table(path, ["image", "other", *pixels]) for path in matches])
+        groups = table.groupby(["image", "other"], sort=True)
+        shared = {(str(a), str(b)): own[pixels].to_numpy(np.float64) for (a, b), own in groups}
     method = method_of(given.method, bool(scene.lenses))
     dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
     drives: dict[Key, list[tuple[Place, Loader]]] = {}
@@ -99,9 +106,12 @@ def calibrate_drives(
             mount = _lens_held(calibration.mount, lenses)
             row_px = max((lens.sigma_cy_px for lens in lenses), default=settings.principal_point_px)
             calibration = replace(calibration, mount=mount, sigma_cy_px=row_px)
-        log.info("%s %d x %d: %s", *key, _summary(calibration))
-        doubts += centre_doubts(key[0], calibration.mount)
-        content.append(to_content(calibration))
+        told, mount = to_content(calibration), calibration.mount
+        numbers = ", ".join(f"{name} {told[name]:.3f}" for name in _TOLD)
+        counts = mount.images, len(calibration.measured)
+        log.info("%s %d x %d: %d images, %d track errors, %s", *key, *counts, numbers)
+        doubts += centre_doubts(key[0], mount)
+        content.append(told)
     if doubts_path:
         tell(doubts, doubts_path, "poles", log)
     write_json(out, {"drives": content})
@@ -225,30 +235,9 @@ def _calibrated(
     return with_ties(calibration, places, loaders, noise, found, shared)
 
 
-def _shared_points(paths: Sequence[Path]) -> Shared:
-    """Pixels that pairs of images share, by the names of both."""
-    if not paths:
-        return {}
-    names = ["u", "v", "u_other", "v_other"]
-    table = pd.concat([read_table(path, ["image", "other", *names]) for path in paths])
-    groups = table.groupby(["image", "other"], sort=True)
-    return {
-        (str(one), str(other)): part[names].to_numpy(np.float64) for (one, other), part in groups
-    }
-
-
 def _evenly(items: list[_Item], count: int) -> list[_Item]:
     index = np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).round())
     return [items[int(number)] for number in index]
-
-
-def _summary(calibration: DriveCalibration) -> str:
-    mount: Mount = calibration.mount
-    table = pd.Series(to_content(calibration))[
-        ["hfov_deg", "cx_shift_px", "yaw_deg", "pitch_deg", "height_m"]
-    ]
-    numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
-    return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
 
 
 main = Command(calibrate_drives)

@@ -12,11 +12,11 @@ import pandas as pd
 
 from roadsight.base.sections.poles import Columns
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.cloud.tiles import CloudTiles, in_bounds
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
+from roadsight.poles.sightings.lidar_poles import find_pole_columns
 from roadsight.poles.sightings.stems import StemShapes, find_stems, stem_shapes, with_stems
 from roadsight.stages.command import Command, logged
 
@@ -38,28 +38,23 @@ def find_columns(cloud_path: Path, frame: Path, dem: Path, settings: Columns, *,
     halo_m = max(_HALO_M, settings.around_m + _BEYOND_M)
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
     tables = [pd.DataFrame(columns=[*COLUMNS, *SHAPES], dtype=np.float64)]
-    for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
+    for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
         tall = find_pole_columns(xyz, above, cls, settings)
         found = with_stems(tall, find_stems(xyz, above, cls, settings.excluded_classes))
         x, y = found.xy_m.T
-        inside = (x >= west) & (x < east) & (y >= south) & (y < north)
         shapes = asdict(stem_shapes(found, xyz, above, cls, settings.excluded_classes))
-        tables.append(_table(found).assign(**shapes)[inside])
+        values = x, y, found.z_ground_m, found.top_m, found.sigma_m, found.points, found.open_top
+        table = pd.DataFrame(dict(zip(COLUMNS, values, strict=True)) | shapes)
+        tables.append(table[in_bounds(x, y, bounds)])
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     median_m = table["sigma_m"].median() if len(table) else float("nan")
     tell = log.info if len(table) else log.warning
     tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
     write_table(out, table, {"settings": settings.model_dump()})
-
-
-def _table(found: PoleColumns) -> pd.DataFrame:
-    values = *found.xy_m.T, found.z_ground_m, found.top_m, found.sigma_m
-    values += (found.points, found.open_top)
-    return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
 
 
 main = Command(find_columns)

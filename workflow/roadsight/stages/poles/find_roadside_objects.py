@@ -12,10 +12,9 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats
 from roadsight.base.sections.poles import BlockClasses, SightingRules
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.cloud.tiles import Bounds, CloudTiles, in_bounds
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
@@ -66,7 +65,9 @@ def find_roadside_objects(
     cloud = CloudTiles(cloud_path)
     cell_m, halo_m = np.nan, _HALO_M
     if "tree" in kinds:
-        cell_m = _canopy_cell_m(cloud)
+        # One for the whole cloud, by a first pass over its tiles.
+        passed = (cloud.read(["x", "y"], [number]) for number in range(len(cloud.tiles)))
+        cell_m = canopy_cell_m([measure_density(np.column_stack([p["x"], p["y"]])) for p in passed])
         # Of a trunk between two crowns either tile must see both.
         halo_m = max(_HALO_M, reach_m(cell_m) + 2 * TRUNK_REACH_M)
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
@@ -76,20 +77,20 @@ def find_roadside_objects(
     for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
-        cls = points["classification"]
+        cls, here = points["classification"], in_bounds(xyz[:, 0], xyz[:, 1], bounds)
         if "tree" in kinds:
             found = find_crowns(xyz, above, cls, cell_m)
             trunks = find_trunks(found, xyz, above, cls, cell_m)
-            crowns.append(_trees(found, trunks, _inside(found.xy_m, bounds)))
+            crowns.append(_trees(found, trunks, bounds))
         if "guardrail" in kinds:
             returns = find_rail_returns(xyz, above, cls)
-            own = _inside(returns.xyz_m, bounds)
+            own = in_bounds(returns.xyz_m[:, 0], returns.xyz_m[:, 1], bounds)
             rails.append(RailReturns(returns.xyz_m[own], returns.direction[own]))
         for kind, parts_of_kind in cells.items():
-            block = np.isin(cls, getattr(classes, f"{kind}_classes")) & _inside(xyz, bounds)
+            block = np.isin(cls, getattr(classes, f"{kind}_classes")) & here
             parts_of_kind.append(block_cells(xyz[block]))
         if "building" in kinds and not _any_cells(cells["building"]):
-            roofs.append(roof_cells(xyz, above, cls, _inside(xyz, bounds)))
+            roofs.append(roof_cells(xyz, above, cls, here))
     lines = join_rails(
         RailReturns(
             np.concatenate([part.xyz_m for part in rails]),
@@ -101,7 +102,10 @@ def find_roadside_objects(
     trees = trees.sort_values(["x", "y"], kind="stable", ignore_index=True)
     trees["z_ground"] = ground.sample(trees["x"].to_numpy(), trees["y"].to_numpy())
     parts = [trees.assign(kind="tree", object=np.arange(len(trees)))]
-    parts += [_rail(line, number) for number, line in enumerate(lines)]
+    parts += [
+        pd.DataFrame(line, columns=["x", "y", "z_ground"]).assign(kind="guardrail", object=number)
+        for number, line in enumerate(lines)
+    ]
     for kind, found_cells in cells.items():
         told = _any_cells(found_cells)
         if kind == "building" and not told:
@@ -125,34 +129,12 @@ def _any_cells(parts: Sequence[BlockCells]) -> bool:
     return any(len(part.index) for part in parts)
 
 
-def _canopy_cell_m(cloud: CloudTiles) -> float:
-    """One for the whole cloud, by a first pass over its tiles."""
-    densities = []
-    for number in range(len(cloud.tiles)):
-        points = cloud.read(["x", "y"], [number])
-        densities.append(measure_density(np.column_stack([points["x"], points["y"]])))
-    return canopy_cell_m(densities)
-
-
-def _inside(xy_m: Floats, bounds: tuple[float, float, float, float]) -> np.ndarray:
-    west, south, east, north = bounds
-    x, y = xy_m[:, 0], xy_m[:, 1]
-    return (x >= west) & (x < east) & (y >= south) & (y < north)
-
-
-def _trees(found: Crowns, trunks: Trunks, own: np.ndarray) -> pd.DataFrame:
+def _trees(found: Crowns, trunks: Trunks, bounds: Bounds) -> pd.DataFrame:
+    own = in_bounds(found.xy_m[:, 0], found.xy_m[:, 1], bounds)
     x, y = found.xy_m[own].T
     size = {"top_m": found.top_m[own], "width_m": found.width_m[own], "sigma_m": SIGMA_M}
     below = (*trunks.xy_m[own].T, trunks.sigma_m[own], trunks.shows[own])
     return pd.DataFrame({"x": x, "y": y, **size, **dict(zip(TRUNK_COLUMNS, below, strict=True))})
-
-
-def _rail(line: Floats, number: int) -> pd.DataFrame:
-    x, y, z = line.T
-    unknown = {"top_m": np.nan, "width_m": np.nan, "sigma_m": np.nan}
-    return pd.DataFrame(
-        {"kind": "guardrail", "object": number, "x": x, "y": y, "z_ground": z}
-    ).assign(**unknown)
 
 
 def _block(block: Block, kind: str, number: int, ground: Raster) -> pd.DataFrame:

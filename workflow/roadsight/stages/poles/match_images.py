@@ -60,7 +60,9 @@ def match_images(
         here, there = first.uv_px[numbers[:, 0]], second.uv_px[numbers[:, 1]]
         if lenses is not None:
             here, there = _straight(here, one, lenses), _straight(there, other, lenses)
-        tables.append(_rows(one["image"], other["image"], here, there))
+        known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        rows = pd.DataFrame(np.column_stack([here, there])[known], columns=list(COLUMNS[2:]))
+        tables.append(rows.assign(image=one["image"], other=other["image"]))
     kinds = dict.fromkeys(COLUMNS[:2], str) | dict.fromkeys(COLUMNS[2:], np.float64)
     table = pd.concat(tables, ignore_index=True).astype(kinds)
     log.info("%d points shared by %d pairs", len(table), len(pairs))
@@ -76,14 +78,6 @@ def _straight(uv_px: Floats, row: Mapping[Hashable, Any], lenses: list[dict[str,
     """Pixels as a pinhole camera would have shown them."""
     size = int(row["width_px"]), int(row["height_px"])
     return lens_of(lenses, (str(row["route"]), *size), size[::-1]).undistort(uv_px)
-
-
-def _rows(image: str, other: str, here: Floats, there: Floats) -> pd.DataFrame:
-    known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    table = pd.DataFrame(np.column_stack([here, there])[known], columns=list(COLUMNS[2:]))
-    table.insert(0, "image", image)
-    table.insert(1, "other", other)
-    return table
 
 
 main = Command(match_images)

@@ -209,7 +209,10 @@ def _view_camera(
     """Camera of a view, turned from the front view's or beside it in its plane."""
     if settings.side_views == "stitched":
         return _camera(view, pose, None, shape)
-    camera = _camera(view, pose, _offsets(turns, given), shape)
+    known = np.isfinite(turns.sigma_deg)
+    left_deg = turns.deg[1] if known[1] else given.left_deg
+    right_deg = turns.deg[2] if known[2] else given.right_deg
+    camera = _camera(view, pose, ViewOffsets(left_deg, right_deg), shape)
     sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
     return replace(camera, sigma_yaw_deg=float(sigma_deg)) if np.isfinite(sigma_deg) else camera
 
@@ -243,13 +246,6 @@ def _side_views(calibrated: Path | None, matched: Path | None) -> dict[Key, Turn
         deg[number], sigma[number] = turn["turn_deg"], turn["sigma_deg"]
         found[key] = Turns((deg[0], deg[1], deg[2]), (sigma[0], sigma[1], sigma[2]))
     return found
-
-
-def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:
-    known = np.isfinite(turns.sigma_deg)
-    left = turns.deg[1] if known[1] else given.left_deg
-    right = turns.deg[2] if known[2] else given.right_deg
-    return ViewOffsets(left, right)
 
 
 class _Evidence:

@@ -27,7 +27,7 @@ from roadsight.io.records.text_tables import in_native, write_csv
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
-from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
+from roadsight.poles.risk.hazard import RULE, rate_roadside
 from roadsight.poles.risk.inventory import Carriageway, Inventory, check_inventory
 from roadsight.poles.risk.road_doubts import (
     edge_doubts,
@@ -92,41 +92,46 @@ def rate_hazard(
     edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
     frames = read_table(frames_path, ["route", "sequence", "x", "y"])
     height = read_raster(dem, frame).sample if dem else None
+    layers = {name: read_layer(placed, name, frame) for name in KINDS if placed}
+    marked = [read_table(path) for path in markings]
     scale = grid_scale(poles, frame) if scale_factor == "simulate" else 1.0
-    tracks = RouteTracks(frames.assign(**{name: frames[name] / scale for name in PLAN}))
-    rails = _guardrails(placed, frame, scale)
-    roads, inventory, barriers, told = given_roads(
-        given, frame, roads_of(tracks, edges_m / scale), scale, rails, settings
-    )
+    rails: dict[str, Floats] = {}
+    if placed:
+        found = layers["guardrails"].itertuples()
+        rails = {
+            row.id: np.asarray(row.geometry.coords)[:, :2] / scale for row in found if row.kept
+        }
+    roads = roads_of(RouteTracks(_divided(frames, scale)), edges_m / scale)
+    roads, inventory, barriers, told = given_roads(given, frame, roads, scale, rails, settings)
     points = None
     if cloud and ground:
         points = ground_near_roads(cloud, ground, roads, scale)
         log.info("%d ground points near roads", len(points))
     surroundings = Surroundings(
         roads,
-        _on_ground(height, scale),
+        None if height is None else lambda x, y: height(scale * x, scale * y),
         points,
         inventory,
         barriers,
         traffic == "left",
         carriageway,
-        _markings(markings, scale),
+        _divided(pd.concat(marked, ignore_index=True), scale) if marked else None,
     )
     if doubts:
         tell([*told, *lane_doubts(surroundings)], doubts, f"poles {poles_path}", log)
     objects = _with_barrier_ends(poles, barriers, frame, scale)
-    rated = rate_roadside(_divided(objects, scale), edges_m / scale, surroundings, settings)
-    measured = _measure(rated.table, given.measure_unit)
+    divided = _divided(objects, scale, (*PLAN, "sigma_major_m"))
+    rated = rate_roadside(divided, edges_m / scale, surroundings, settings)
     known = objects[["id", "kind", "x", "y", "latitude", "longitude"]]
-    table = pd.concat([known, rated.table, measured], axis=1)
+    table = pd.concat([known, rated.table], axis=1)
+    unit = given.measure_unit
+    if unit != "m":
+        table[f"measure_{unit}"] = (table["station_m"] / UNITS_M[unit]).round(5)
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
-    about = {"clear_zone": SOURCE, "rule": RULE, "settings": settings.model_dump()}
-    about |= {"sources": SOURCES}
-    write_table(out, table, about)
-    write_csv(csv, in_native(table, frame))
+    names = objects["id"].astype(str).tolist()
     sections = section_table(
         surroundings,
-        objects["id"].astype(str).tolist(),
+        names,
         rated.located,
         rated.edge_m,
         rated.outward,
@@ -137,49 +142,29 @@ def rate_hazard(
     sections[places] *= scale
     geometry = geometry_table(surroundings, settings)
     geometry[list(PLAN)] *= scale
+    about = {"clear_zone": SOURCE, "rule": RULE, "settings": settings.model_dump()}
+    about |= {"sources": SOURCES}
+    write_table(out, table, about)
+    write_csv(csv, in_native(table, frame))
     if geometry_csv:
         write_csv(geometry_csv, rounded(in_native(geometry, frame)))
     if sections_path:
-        write_table(sections_path, sections, {"profiles": _profiles(objects, rated)})
+        profiles = {  # measured heights at each object, for drawings: above the edge, m
+            name: {
+                "run_m": np.round(section.profile.run_m, 3).tolist(),
+                "height_m": np.round(section.profile.height_m, 3).tolist(),
+            }
+            for name, section in zip(names, rated.sections, strict=True)
+            if section is not None
+        }
+        write_table(sections_path, sections, {"profiles": profiles})
     if layers_path:
-        layers = {name: read_layer(placed, name, frame) for name in KINDS if placed}
         layers |= {
             "hazard": hazard_points(table, height),
             "cross_sections": section_lines(sections, height),
             "road_geometry": geometry_lines(geometry, surroundings, STATION_M, scale),
         }
         write_layers(layers_path, layers, frame, KINDS | GEOMETRY)
-
-
-def _markings(paths: Sequence[Path], scale: float) -> pd.DataFrame | None:
-    """Points on markings, in metres on the ground; None where nobody looked for them."""
-    if not paths:
-        return None
-    table = pd.concat([read_table(path) for path in paths], ignore_index=True)
-    return table.assign(**{name: table[name] / scale for name in PLAN})
-
-
-def _guardrails(placed: Path | None, frame: Frame, scale: float) -> dict[str, Floats]:
-    """Lines (n, 2) of the guardrails that were found and kept, by name."""
-    if placed is None:
-        return {}
-    layer = read_layer(placed, "guardrails", frame)
-    kept = layer[layer["kept"].to_numpy(bool)] if len(layer) else layer
-    lines = [np.asarray(line.coords)[:, :2] / scale for line in kept.geometry]
-    return dict(zip(kept["id"], lines, strict=True))
-
-
-def _profiles(objects: pd.DataFrame, rated: Rated) -> dict[str, dict[str, list[float]]]:
-    """Measured heights at each object, for drawings: run and height above the edge, m."""
-    found = {}
-    for name, section in zip(objects["id"].astype(str), rated.sections, strict=True):
-        if section is not None:
-            profile = section.profile
-            found[name] = {
-                "run_m": np.round(profile.run_m, 3).tolist(),
-                "height_m": np.round(profile.height_m, 3).tolist(),
-            }
-    return found
 
 
 def _with_barrier_ends(
@@ -199,13 +184,6 @@ def _with_barrier_ends(
     return pd.concat([poles, ends], ignore_index=True)
 
 
-def _measure(table: pd.DataFrame, unit: str) -> pd.DataFrame:
-    """The measure along the route in another unit than metres, if one is asked for."""
-    if unit == "m":
-        return pd.DataFrame(index=table.index)
-    return pd.DataFrame({f"measure_{unit}": (table["station_m"] / UNITS_M[unit]).round(5)})
-
-
 def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
     """Metres of the grid for each metre on the ellipsoid, mean over the poles; 1 without any."""
     if frame.crs_wkt is None or poles.empty:
@@ -213,12 +191,9 @@ def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
     return float(SiteNorth(frame).scale(poles[["x", "y"]].to_numpy(np.float64)).mean())
 
 
-def _divided(poles: pd.DataFrame, scale: float) -> pd.DataFrame:
-    return poles.assign(**{name: poles[name] / scale for name in (*PLAN, "sigma_major_m")})
-
-
-def _on_ground(height: Height | None, scale: float) -> Height | None:
-    return None if height is None else lambda x, y: height(scale * x, scale * y)
+def _divided(table: pd.DataFrame, scale: float, lengths: Sequence[str] = PLAN) -> pd.DataFrame:
+    """The table in metres on the ground."""
+    return table.assign(**{name: table[name] / scale for name in lengths})
 
 
 # What the hazard stage reads about roads: ground points, inventory, routes, barriers.
@@ -306,11 +281,15 @@ def given_roads(
     told: list[Doubt] = []
     inventory: Inventory | None = None
     routes: list[Route] = []
+    stated: list[Floats] = []
+    names: list[str] = []
     if given.inventory:
         table, places, routes = read_inventory(given.inventory, frame, given.inventory_crs)
         inventory = check_inventory(table, given.inventory, places)
     if given.routes:
         routes = read_routes(given.routes, frame, given.routes_crs, given.measure_unit)
+    if given.barriers:
+        stated, names = read_barriers(given.barriers, frame, given.barriers_crs)
     if routes:
         on_ground = [Route(r.name, r.xy_m / scale, r.measure_m, r.where) for r in routes]
         roads, more = with_routes(roads, on_ground)
@@ -319,30 +298,19 @@ def given_roads(
         told += inventory_doubts(inventory, roads.roads, bool(routes), site)
     else:
         told += traffic_doubts(site)
-    barriers: list[Barrier] = []
-    lines: list[Floats] = []
-    names: list[str] = []
-    if given.barriers:
-        stated, names = read_barriers(given.barriers, frame, given.barriers_crs)
-        lines = [line / scale for line in stated]
-        barriers, more = barriers_along(lines, names, roads)
-        told += more
-    # What was found in a former run and is given now keeps its name.
+    lines = [line / scale for line in stated]
+    barriers, more = barriers_along(lines, names, roads)
+    told += more
+    # A guardrail is given where half of its places or more lie along lines of the user. What was
+    # found in a former run and is given now keeps its name.
+    tree = cKDTree(np.concatenate([resampled(line, 1.0) for line in lines])) if lines else None
     new = {
         f"{name} found" if name in names else name: line
         for name, line in rails.items()
-        if not _is_given(line, lines)
+        if tree is None or np.median(tree.query(line)[0]) > _SAME_RAIL_M
     }
     barriers += barriers_along(list(new.values()), list(new), roads)[0]
     return roads, inventory, barriers, [*told, *edge_doubts(roads.roads)]
-
-
-def _is_given(rail: Floats, lines: Sequence[Floats]) -> bool:
-    """Whether half of a guardrail's places or more lie along lines that the user gives."""
-    if not lines:
-        return False
-    tree = cKDTree(np.concatenate([resampled(line, 1.0) for line in lines]))
-    return bool(np.median(tree.query(rail)[0]) <= _SAME_RAIL_M)
 
 
 main = Command(rate_hazard)

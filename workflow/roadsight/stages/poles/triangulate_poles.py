@@ -6,7 +6,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import geopandas as gpd
 import numpy as np
@@ -110,14 +110,18 @@ def triangulate_poles(
     names = [*SIGHTING_COLUMNS, *shared, "view", "reason", "depth_from", *_EDGE_COLUMNS]
     parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
+    voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
+    ground = read_raster(dem, frame) if dem else None
+    objects, told = _confirmed(objects_path, seen)
+    track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
+    shapes = read_table(columns) if columns else None
+    by_hand = read_decisions(decisions, frame) if decisions else None
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
     published = settings.method == "sweep"
     network = [] if published else network_scales(sightings)
     sightings = with_scales(sightings, network)
     sightings = sightings.assign(anchored=sightings["depth_lidar_m"].notna())
     poles, pole_of, scales = site_poles(sightings, settings)
-    voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
-    ground = read_raster(dem, frame) if dem else None
     shown = {
         name: voxels_m[~np.isin(voxel_class, classes)]
         for name, classes in (("crowns", _NO_CROWN), ("firm", _NOT_FIRM))
@@ -129,8 +133,6 @@ def triangulate_poles(
         limits = pole_doubts(sightings, network, far_reaching(own, settings))
         doubts = [*network_doubts(own_networks), *limits, *crown_doubts(poles)]
         tell(doubts, doubts_path, "poles", log)
-    objects, told = _confirmed(objects_path, seen)
-    track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
     blocks = sum(KINDS[kind].shape == "block" for kind in told["kind"])
     if blocks and not track[["x", "y"]].notna().all(axis=1).any():
@@ -141,18 +143,22 @@ def triangulate_poles(
     if len(voxels_m):
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
-        poles = drop_near_structures(poles, _structures(voxels_m, voxel_class), clearance_m)
-    poles = _decided(poles, frame, decisions)
+        structures_m = np.unique(voxels_m[np.isin(voxel_class, _STRUCTURES), :2], axis=0)
+        poles = drop_near_structures(poles, cKDTree(structures_m), clearance_m)
+    poles = _decided(poles, by_hand, decisions)
     # A person may have moved a pole onto the right stem.
-    poles = with_shapes(poles, read_table(columns) if columns else None)
-    poles = _with_place(_with_probability(poles), frame, dem)
+    poles = _finished(with_shapes(poles, shapes), frame, ground)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
     log.info("%d sightings, %d poles, %d kept", len(sightings), len(poles), kept.sum())
-    about: dict[str, Any] = {"method": settings.method, "settings": settings.model_dump()}
-    about |= {"depth_scale": scales, "sightings": len(sightings)}
-    about["network_scales"] = [vars(scale) for scale in network]
+    about = {
+        "method": settings.method,
+        "settings": settings.model_dump(),
+        "depth_scale": scales,
+        "sightings": len(sightings),
+        "network_scales": [vars(scale) for scale in network],
+    }
     write_table(poles_path, poles, about)
     layers = {
         "poles": _points(poles),
@@ -186,11 +192,10 @@ def _lines(guardrails: pd.DataFrame) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(table, geometry=lines)
 
 
-def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
+def _decided(poles: pd.DataFrame, decisions: pd.DataFrame | None, path: str | None) -> pd.DataFrame:
     """Poles with what a person decided on them, if there is such a table."""
-    if path is None:
+    if decisions is None or path is None:
         return poles.assign(decided="")
-    decisions = read_decisions(path, frame)
     decided, rows = apply_decisions(poles, decisions)
     tell_matches(log, "decisions are about a pole", int((rows >= 0).sum()), len(rows), path)
     for name in decisions.loc[rows < 0, "pole"]:
@@ -231,25 +236,17 @@ def _voxels(path: Path) -> tuple[Floats, Ints]:
     return anchor + (index + 0.5) * float(about["cell_size_m"]), voxels["cls"].to_numpy(np.int64)
 
 
-def _structures(voxels_m: Floats, voxel_class: Ints) -> cKDTree:
-    """Tree of the road, bridge and building voxels in plan."""
-    return cKDTree(np.unique(voxels_m[np.isin(voxel_class, _STRUCTURES), :2], axis=0))
-
-
-def _with_probability(poles: pd.DataFrame) -> pd.DataFrame:
+def _finished(poles: pd.DataFrame, frame: Frame, ground: Raster | None) -> pd.DataFrame:
+    """Poles with probability, ground height, latitude and longitude; NaN where not known."""
     probability = real_probability(poles)
     source = probability_source(poles, probability)
-    return poles.assign(probability=probability, probability_from=source)
-
-
-def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataFrame:
-    """Poles with ground height, latitude and longitude; NaN where not known."""
     x, y = poles["x"].to_numpy(np.float64), poles["y"].to_numpy(np.float64)
-    z = read_raster(dem, frame).sample(x, y) if dem else np.full(len(poles), np.nan)
+    z = ground.sample(x, y) if ground else np.full(len(poles), np.nan)
     latitude = longitude = np.full(len(poles), np.nan)
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
+    placed = placed.assign(probability=probability, probability_from=source)
     told = ("decided", "probability", "probability_from", "cloud_shows")
     return placed[[*POLE_COLUMNS, *told, *SHAPE_COLUMNS]]
 

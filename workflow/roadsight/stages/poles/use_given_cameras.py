@@ -16,11 +16,10 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.stages.command import Command, logged
 from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, camera_table
-from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_scene
 
 log = logging.getLogger("use_given_cameras")
 NOT_GIVEN = "no camera is given"
@@ -41,49 +40,28 @@ def use_given_cameras(
     scene = read_scene(files)
     frame = Frame.from_dict(read_json(files.frame))
     given = read_cameras(cameras, frame, intrinsics)
-    known = set(read_table(files.frames, ["image"])["image"])
+    images = read_table(files.frames, ["image"])["image"]
     told = "given cameras are of an image of the videolog"
-    tell_named(log, told, set(given["image"]), known, cameras)
+    tell_named(log, told, set(given["image"]), set(images), cameras)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
     sigma = GivenSigma(sigma_heading_deg, sigma_pitch_deg, sigma_place_m, sigma_place_m)
-    dealt = shard.dealt(read_table(files.frames, ["image"])["image"])
+    dealt = shard.dealt(images)
     own = [p for p in scene.places if p.image in dealt]
+    nothing: dict[str, Any] = dict.fromkeys(CAMERA_COLUMNS, np.nan) | {"reason": NOT_GIVEN}
+    nothing |= dict.fromkeys(("edge_points", "landmarks", "one_sided", "accepted"), 0)
     rows, shares = [], []
     for place in logged(own, len(own), log, "images"):
-        pose = poses.get(place.image)
-        agrees = (np.nan, np.nan) if pose is None else _agreement(scene, place, pose)
-        shares.append(agrees[1])
-        rows.append({"image": place.image, **_row(scene, place, pose, sigma, agrees)})
+        width_px, height_px = size = place.start.width_px, place.start.height_px
+        row = nothing | {"width_px": width_px, "height_px": height_px}
+        if place.image in poses:
+            image_edges, map_edges = scene.edges_of(place)
+            agrees = agreement(poses[place.image], size, image_edges, map_edges)
+            row = camera_row(poses[place.image], size, sigma, agrees, len(image_edges.uv_px))
+            shares.append(agrees[1])
+        rows.append(row | {"image": place.image})
     table = camera_table(rows)
     about = {"method": "given", **_judged(np.array(shares, np.float64), table)}
     write_table(out, table, about)
-
-
-def _agreement(scene: AlignmentScene, place: Place, pose: pd.Series) -> tuple[float, float]:
-    size = place.start.width_px, place.start.height_px
-    return agreement(pose, size, *scene.edges_of(place))
-
-
-def _row(
-    scene: AlignmentScene,
-    place: Place,
-    pose: pd.Series | None,
-    sigma: GivenSigma,
-    agrees: tuple[float, float],
-) -> dict[str, Any]:
-    size = place.start.width_px, place.start.height_px
-    if pose is not None:
-        return camera_row(pose, size, sigma, agrees, len(scene.edges_of(place)[0].uv_px))
-    numbers = dict.fromkeys(set(CAMERA_COLUMNS) - {"image", "reason"}, np.nan)
-    return numbers | {
-        "width_px": size[0],
-        "height_px": size[1],
-        "edge_points": 0,
-        "landmarks": 0,
-        "one_sided": False,
-        "accepted": False,
-        "reason": NOT_GIVEN,
-    }
 
 
 def _judged(shares: np.ndarray, table: pd.DataFrame) -> dict[str, Any]:

@@ -209,7 +209,11 @@ def _errors(
     """One row for each match: distances, their parts and the scenario."""
     found_m, known_m = _xy(found), _xy(known)
     table = pd.DataFrame({"pole": found["id"].to_numpy(), "truth": known["id"].to_numpy()})
-    table["geodesic_m"] = _geodesic(frame, found_m, known_m)
+    if frame.crs_wkt is None or table.empty:  # in plan
+        table["geodesic_m"] = np.hypot(*(found_m - known_m).T)
+    else:
+        to_geographic = SiteNorth(frame).to_geographic
+        table["geodesic_m"] = geodesic_m(*to_geographic(found_m), *to_geographic(known_m))
     for name in ("across_m", "along_m", "offset_m", "known_offset_m"):
         table[name] = np.nan
     edges_m = read_table(edges_path, ["x", "y"]).to_numpy(np.float64)
@@ -242,14 +246,6 @@ def _paved(path: Path) -> Floats | None:
     index = table.loc[table["cls"].isin(_PAVED), ["ix", "iy"]].drop_duplicates()
     anchor = np.asarray(about["anchor"], np.float64)[:2]
     return np.asarray(anchor + (index.to_numpy(np.float64) + 0.5) * cell_m)
-
-
-def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:
-    """Distances on the ellipsoid, or in plan where the site has no place on Earth."""
-    if frame.crs_wkt is None or len(found_m) == 0:
-        return np.asarray(np.hypot(*(found_m - known_m).T))
-    north = SiteNorth(frame)
-    return geodesic_m(*north.to_geographic(found_m), *north.to_geographic(known_m))
 
 
 def _content(errors: pd.DataFrame, warnings: list[str]) -> dict[str, Any]:

@@ -64,12 +64,21 @@ def build_dem(
         labels.append(mask)
         log.info("tile %d of %d: %d points", len(labels), len(cloud.tiles), len(points))
     ground = np.concatenate(labels)
-    _check(ground, site)
+    share = float(ground.mean())
+    log.info("%.1f %% of %d points are ground", 100 * share, len(ground))
+    if share < 0.01:
+        raise InputError(
+            "no ground found",
+            where=f"site {site}",
+            found=f"{share:.2%} of the points near a plausible ground surface",
+            allowed="at least 1 %",
+            hint="check the units of z (vertical_units), or raise ground.max_object_width_m",
+        )
     write_table(ground_path, pd.DataFrame({"ground": ground}), {"settings": settings.model_dump()})
     heights_m = terrain.heights_m(asked.dem_fill_m)
     if doubts_path:
         doubts = ground_doubts(
-            float(ground.mean()),
+            share,
             terrain.filled_share(),
             terrain.noise_m(),
             _agreement(cloud, ground, terrain.grid, heights_m),
@@ -101,19 +110,6 @@ def _agreement(cloud: CloudTiles, ground: Bools, grid: Grid, heights_m: Floats32
         found.add(part["classification"], ground[start:end], part["z"] - below_m)
         start = end
     return found
-
-
-def _check(ground: np.ndarray, site: str) -> None:
-    share = float(ground.mean())
-    log.info("%.1f %% of %d points are ground", 100 * share, len(ground))
-    if share < 0.01:
-        raise InputError(
-            "no ground found",
-            where=f"site {site}",
-            found=f"{share:.2%} of the points near a plausible ground surface",
-            allowed="at least 1 %",
-            hint="check the units of z (vertical_units), or raise ground.max_object_width_m",
-        )
 
 
 # What limits the worth of ground labels and of the terrain model made from them.

@@ -45,11 +45,21 @@ def build_edges(
     if digitised:
         lines = read_lines(digitised, frame, digitised_crs)
         tell_near(log, "edges", lines.geometry.to_numpy(), about, digitised)
-        _check_nearby(lines, pavement, digitised)
         named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
         edges = [(str(name), str(kind), line) for name, kind, line in named]
+        for name, _, line in edges:
+            away_m = line.distance(pavement)
+            if away_m > FURTHEST_M:
+                raise InputError(
+                    f"edge {name!r} lies outside the cloud's road",
+                    where=digitised,
+                    found=f"{away_m:.0f} m from the pavement",
+                    allowed=f"at most {FURTHEST_M:.0f} m",
+                    hint="check the file's CRS (placement.edges_crs)",
+                )
     else:
-        edges = _automatic(dem, settings, frame, pavement)
+        found = outline_edges(pavement, _measured_ground(read_raster(dem, frame)), settings)
+        edges = [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
     if not edges:
         raise InputError(
             "no edge long enough to carry candidates was found on the pavement outline",
@@ -72,14 +82,6 @@ def build_edges(
     write_layers(out, {"edges": table}, frame)
 
 
-def _automatic(
-    dem: Path, settings: Edges, frame: Frame, pavement: MultiPolygon
-) -> list[tuple[str, str, LineString]]:
-    ground = _measured_ground(read_raster(dem, frame))
-    found = outline_edges(pavement, ground, settings)
-    return [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
-
-
 def _measured_ground(dem: Raster) -> Floats:
     """Places (k, 3) of the terrain model that hold ground points, by which open ends are told."""
     known = np.isfinite(dem.values) if dem.measured is None else dem.measured
@@ -97,19 +99,6 @@ def _moved_off(line: LineString, pavement: MultiPolygon, offset_m: float) -> Lin
     off = min(moved, key=lambda curve: curve.intersection(pavement).length / max(curve.length, 1))
     longest = max(shapely.get_parts(off), key=lambda part: part.length, default=line)
     return longest if longest.length > 0.5 * line.length else line
-
-
-def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) -> None:
-    for name, line in zip(lines["edge"], lines.geometry, strict=True):
-        distance = line.distance(pavement)
-        if distance > FURTHEST_M:
-            raise InputError(
-                f"edge {name!r} lies outside the cloud's road",
-                where=path,
-                found=f"{distance:.0f} m from the pavement",
-                allowed=f"at most {FURTHEST_M:.0f} m",
-                hint="check the file's CRS (placement.edges_crs)",
-            )
 
 
 main = Command(build_edges)

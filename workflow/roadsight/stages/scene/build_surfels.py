@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from roadsight.base.arrays import Floats32
 from roadsight.base.sections.sensing import SurfelMaking
 from roadsight.io.cloud.tiles import StandingCloud
 from roadsight.io.records.scene_tables import write_surfels
@@ -36,10 +35,22 @@ def write_scene_surfels(
     tiles = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
     parts, points = [], 0
     for tile in tiles:
-        xyz = _points(cloud, tile, settings)
+        xyz, radius_m = cloud.xyz(tile), settings.outlier_radius_m
+        if radius_m > 0:  # without those that stand alone
+            others, engine = settings.outlier_neighbours, settings.outlier_engine
+            xyz = xyz[in_company(xyz, cloud.around(tile, radius_m), radius_m, others, engine)]
         parts.append(sum_moments(xyz, settings.surfel_size_m))
         points += len(xyz)
-    _tell_alone(cloud.points - points, cloud.points, settings.outlier_radius_m)
+    alone = cloud.points - points
+    if alone:
+        log.info("%d of %d points stand alone and are left out", alone, cloud.points)
+    if alone > _MOST_ALONE * cloud.points:
+        log.warning(
+            "%.1f %% of the points have too few others within %g m: the radius is too small for"
+            " the spacing of this cloud, and surfaces are lost",
+            100 * alone / cloud.points,
+            settings.outlier_radius_m,
+        )
     voxels = add_moments(parts)
     surfels = build_surfels(voxels)
     log.info(
@@ -50,28 +61,6 @@ def write_scene_surfels(
         len(surfels),
     )
     write_surfels(out, surfels, {"voxel_m": settings.surfel_size_m, "points": points})
-
-
-def _points(cloud: StandingCloud, tile: int, settings: SurfelMaking) -> Floats32:
-    """Points of a tile, without those that stand alone where these are to go."""
-    xyz, radius_m = cloud.xyz(tile), settings.outlier_radius_m
-    if radius_m == 0:
-        return xyz
-    others, engine = settings.outlier_neighbours, settings.outlier_engine
-    return xyz[in_company(xyz, cloud.around(tile, radius_m), radius_m, others, engine)]
-
-
-def _tell_alone(alone: int, points: int, radius_m: float) -> None:
-    """Say how many points were left out, and where that is more than strays can be."""
-    if alone:
-        log.info("%d of %d points stand alone and are left out", alone, points)
-    if alone > _MOST_ALONE * points:
-        log.warning(
-            "%.1f %% of the points have too few others within %g m: the radius is too small for"
-            " the spacing of this cloud, and surfaces are lost",
-            100 * alone / points,
-            radius_m,
-        )
 
 
 main = Command(write_scene_surfels)

@@ -15,7 +15,7 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import GroundClasses
-from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.cloud.tiles import CloudTiles, in_bounds, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.scene.pavement.fpfh import (
@@ -83,10 +83,9 @@ def _described_tiles(
     for number, (core, xyz, intensity) in enumerate(tiles, start=1):
         ways = settings.neighbours, settings.fpfh_engine, settings.thinning
         ground = describe_ground(xyz, intensity, size_m, *ways)
-        west, south, east, north = core
         # A column belongs to the tile that holds its grid cell's centre.
         x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
-        own = (x >= west) & (x < east) & (y >= south) & (y < north)
+        own = in_bounds(x, y, core)
         table = pd.DataFrame(ground.xyz_m[own], columns=["x", "y", "z"])
         table["intensity"] = ground.intensity[own]
         table["variation"] = ground.variation[own]
@@ -117,12 +116,8 @@ def _ground_tiles(
         kept = {other: kept[other] for other in kept if other in near or other > number}
         xyz = np.concatenate([kept[other][0] for other in near])
         intensity = np.concatenate([kept[other][1] for other in near])
-        inside = (
-            (xyz[:, 0] >= core[0] - halo_m)
-            & (xyz[:, 0] < core[2] + halo_m)
-            & (xyz[:, 1] >= core[1] - halo_m)
-            & (xyz[:, 1] < core[3] + halo_m)
-        )
+        wide = (core[0] - halo_m, core[1] - halo_m, core[2] + halo_m, core[3] + halo_m)
+        inside = in_bounds(xyz[:, 0], xyz[:, 1], wide)
         yield core, xyz[inside], intensity[inside]
 
 

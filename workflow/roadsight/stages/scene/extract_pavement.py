@@ -23,7 +23,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement, PavementOutline
 from roadsight.geometry.areas import inside
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.cloud.tiles import CloudTiles, in_bounds, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.known import read_seeds, read_track
@@ -142,7 +142,9 @@ def _found(
     InputError : none is found.
     """
     if way.tma:
-        outline = _users_area(way.tma, frame)
+        area = shapely.union_all(read_polygons(way.tma, frame).geometry.to_numpy())
+        polygons = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+        outline = MultiPolygon(sorted(polygons, key=lambda part: -part.area))
         told = "polygons of the monitored area"
         tell_near(log, told, np.array(outline.geoms, object), about, way.tma)
         return _Found(outline, "user", [])
@@ -261,12 +263,6 @@ def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geomet
     return list(lines)
 
 
-def _users_area(path: str, frame: Frame) -> MultiPolygon:
-    area = shapely.union_all(read_polygons(path, frame).geometry.to_numpy())
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    return MultiPolygon(sorted(parts, key=lambda part: -part.area))
-
-
 def _published(way: Way) -> tuple[MultiPolygon, float]:
     """Outline of the smooth ground that `cluster_fpfh` found, and the size of its columns."""
     if not way.clusters:
@@ -323,8 +319,7 @@ def _points_within(
         if low_x > east or high_x < west or low_y > north or high_y < south:
             continue
         xyz = stack_xyz(cloud.read(("x", "y", "z"), [number])).astype(np.float64)
-        near = (xyz[:, 0] >= west) & (xyz[:, 0] < east)
-        near &= (xyz[:, 1] >= south) & (xyz[:, 1] < north)
+        near = in_bounds(xyz[:, 0], xyz[:, 1], bounds)
         parts.append(xyz[near])
         labels.append(ground[starts[number] : starts[number + 1]][near])
     return np.concatenate([np.empty((0, 3)), *parts]), np.concatenate([np.zeros(0, bool), *labels])

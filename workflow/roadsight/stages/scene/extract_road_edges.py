@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import geopandas as gpd
 import numpy as np
@@ -35,10 +35,6 @@ from roadsight.scene.road_edges import (
     smoothing_cells,
 )
 from roadsight.stages.command import Command
-
-if TYPE_CHECKING:
-    from roadsight.scene.curbs import Curbs
-
 
 log = logging.getLogger("extract_road_edges")
 
@@ -88,7 +84,10 @@ def _curbs(
     for route, rows in frames.groupby("route", sort=True):
         track = rows.sort_values("sequence", kind="stable")[["x", "y"]].to_numpy(np.float64)
         curbs = find_curbs(_beside(cloud, track), track)
-        tables.append(_curb_table(curbs, first))
+        columns = dict(zip("xyz", curbs.xyz_m.T, strict=True))
+        columns |= {"polyline": (curbs.polyline + first).astype(np.int32)}
+        columns |= {"tangent_x": curbs.tangent[:, 0], "tangent_y": curbs.tangent[:, 1]}
+        tables.append(pd.DataFrame(columns))
         first += int(curbs.polyline.max(initial=-1)) + 1
         log.info(
             "%s: %d curb points, steps of %.3f m (median)",
@@ -113,13 +112,6 @@ def _beside(cloud: CloudTiles, track_xy_m: Floats) -> Floats:
     near = ((bounds[:, :2] <= high) & (bounds[:, 3:5] >= low)).all(axis=1)
     points = cloud.read(("x", "y", "z"), np.flatnonzero(near).tolist())
     return np.column_stack([points[axis] for axis in "xyz"]).astype(np.float64)
-
-
-def _curb_table(curbs: Curbs, first: int) -> pd.DataFrame:
-    columns = dict(zip("xyz", curbs.xyz_m.T, strict=True))
-    columns |= {"polyline": (curbs.polyline + first).astype(np.int32)}
-    columns |= {"tangent_x": curbs.tangent[:, 0], "tangent_y": curbs.tangent[:, 1]}
-    return pd.DataFrame(columns)
 
 
 def _outlined(

@@ -278,6 +278,11 @@ def ingest_cloud(
     frame: Annotated[Path, "frame to write"],
 ) -> None:
     """Read the clouds of a site; what is wrong with them is told with its name."""
+    kind, _, value = (extent or "").partition("=")
+
+    def within(found: Frame) -> Within:
+        return read_site_extent(kind, value, found, extent_files, extent_crs)
+
     try:
         ingest(
             clouds,
@@ -287,21 +292,11 @@ def ingest_cloud(
             cloud,
             frame,
             overlap=settings.overlap,
-            extent=_extent(extent, extent_files, extent_crs),
+            extent=within if extent else None,
             pulse_share=settings.pulse_share,
         )
     except InputError as error:
         raise InputError(str(error), where=f"site {site}") from error
-
-
-def _extent(
-    extent: str | None, files: Sequence[Path], crs: str | None
-) -> Callable[[Frame], Within] | None:
-    """How the site's extent is found once its frame is known."""
-    if not extent:
-        return None
-    kind, _, value = extent.partition("=")
-    return lambda frame: read_site_extent(kind, value, frame, files, crs)
 
 
 main = Command(ingest_cloud)

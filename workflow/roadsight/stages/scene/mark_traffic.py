@@ -48,7 +48,12 @@ def mark_traffic(
     dem = read_raster(dem_path, frame)
     outline = shapely.union_all(read_layer(pavement, "pavement", frame).geometry)
     inner = shapely.multipolygons(shapely.get_parts(outline.buffer(-_RIM_M)))
-    columns = _columns(cloud, dem)
+    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
+    corners = np.concatenate([bounds[:, :2], bounds[:, 3:5]])
+    columns = Columns(Grid.around(corners[:, 0], corners[:, 1], _COLUMN_M))
+    for number in range(len(cloud.tiles)):
+        xyz, height_m = _tile(cloud, dem, number)
+        columns.add(xyz[:, :2], height_m)
     parts = [np.empty(0, bool)]
     for number in logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles"):
         xyz, height_m = _tile(cloud, dem, number)
@@ -63,16 +68,6 @@ def mark_traffic(
         "clear_below_m": clear_below_m,
     }
     write_table(out, pd.DataFrame({"traffic": traffic}), about)
-
-
-def _columns(cloud: CloudTiles, dem: Raster) -> Columns:
-    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
-    corners = np.concatenate([bounds[:, :2], bounds[:, 3:5]])
-    columns = Columns(Grid.around(corners[:, 0], corners[:, 1], _COLUMN_M))
-    for number in range(len(cloud.tiles)):
-        xyz, height_m = _tile(cloud, dem, number)
-        columns.add(xyz[:, :2], height_m)
-    return columns
 
 
 def _tile(cloud: CloudTiles, dem: Raster, number: int) -> tuple[np.ndarray, np.ndarray]:

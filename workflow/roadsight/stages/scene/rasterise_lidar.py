@@ -110,14 +110,19 @@ def settled(
 
     def work(read: tuple[Tile, Points]) -> tuple[int, Settled, ClassRuns]:
         tile, points = read
-        cls = _classes(points, table, paved)
+        cls: Bytes = table[points["classification"]]
+        if paved is not None:
+            cls[paved.holds(points["x"], points["y"], points["z"])] = ROAD
         runs = count_classes(grid, [points[axis] for axis in "xyz"], cls)
         own = grid.within(runs.voxel, tile.ix * size_m, tile.iy * size_m, size_m)
         return tile.iy, settle_area(grid, runs.part(own)), runs.part(~own)
 
+    columns = ("x", "y", "z", "classification")
+    numbers = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
+    tiles = ((cloud.tiles[number], cloud.read(columns, [number])) for number in numbers)
     shared: list[ClassRuns] = []
     done = 0
-    for iy, row in groupby(in_order(work, _points_of_tiles(cloud), threads), key=itemgetter(0)):
+    for iy, row in groupby(in_order(work, tiles, threads), key=itemgetter(0)):
         parts = []
         for _, part, open_runs in row:
             parts.append(part)
@@ -129,25 +134,12 @@ def settled(
     yield from (settle_area(grid, part) for part in shared)
 
 
-def _points_of_tiles(cloud: CloudTiles) -> Iterator[tuple[Tile, Points]]:
-    for number in logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles"):
-        columns = ("x", "y", "z", "classification")
-        yield cloud.tiles[number], cloud.read(columns, [number])
-
-
 def _in_rows(grid: VoxelGrid, parts: list[Settled], starts: range) -> Iterator[Settled]:
     """Parts beside each other, some rows of all of them at a time."""
     for start in starts:
         halves = [part.split(grid, start + starts.step) for part in parts]
         yield join([south for south, _ in halves])
         parts = [north for _, north in halves]
-
-
-def _classes(points: Points, table: Bytes, paved: PavedArea | None) -> Bytes:
-    cls: Bytes = table[points["classification"]]
-    if paved is not None:
-        cls[paved.holds(points["x"], points["y"], points["z"])] = ROAD
-    return cls
 
 
 def _paved_area(

@@ -270,13 +270,8 @@ def _road_edges(street: Street) -> RoadEdges:
             for line in rings
         ]
     )
-    nearest = _nearest(road.surface_m, xy)
-    return RoadEdges.from_points(np.column_stack([xy, nearest]))
-
-
-def _nearest(surface_m: Floats, xy: Floats) -> Floats:
-    """Height (n,) of the nearest place (k, 3) of a surface."""
-    return np.asarray(surface_m[cKDTree(surface_m[:, :2]).query(xy)[1], 2], np.float64)
+    nearest = cKDTree(road.surface_m[:, :2]).query(xy)[1]
+    return RoadEdges.from_points(np.column_stack([xy, road.surface_m[nearest, 2]]))
 
 
 def _image_edges(classes: Bytes) -> ImageEdges:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.evidence.truth.ground import f1
-from roadsight.evidence.truth.streets import ROAD, UNLABELLED, ground_points, read_street
+from roadsight.evidence.truth.streets import ROAD, UNLABELLED, f1, ground_points, read_street
 from roadsight.evidence.truth.survey import Survey, read_survey
 from roadsight.evidence.truth.table import Figure
 from roadsight.scene.whole import ground_of, published_road, road_of, settled_road

@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight import __version__
 from roadsight.evidence.truth.catalogue import AREAS
 from roadsight.evidence.truth.table import Figure, truth_rows
-from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.atomic import atomic_path, read_json, write_text
 from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command
@@ -40,8 +40,7 @@ def write_truth(
     with atomic_path(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.5g")
     page = render_truth(table, read_assets(ASSETS), __version__)
-    with atomic_path(page_path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(page_path, page)
 
 
 main = Command(write_truth)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Bools
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.section import needed
@@ -95,7 +95,10 @@ class ChangedSight:
             level = local_from_sensor(yaw_deg, AS_MOUNTED)
             position = position + level @ np.array(change.shift_m)
             yaw_deg += change.turn.yaw_deg
-            tilt = self._tilted(yaw_deg, change, tilt)
+            turn = Turn(0.0, change.turn.pitch_deg, change.turn.roll_deg)
+            if turn != AS_MOUNTED:
+                mounted = local_from_sensor(yaw_deg, AS_MOUNTED)
+                tilt = local_from_sensor(yaw_deg, turn, tilt) @ mounted.T
         curved = self._given.curvature == "simulate"
         scene = self._lidar if lidar is None else lidar
         sight = sight_of(self._given, place["sensor"], whole)
@@ -104,13 +107,6 @@ class ChangedSight:
         depth_m = scene.depth_map(sensor, *pose, tilt, curved, wanted)
         beams = count_beams(depth_m, sensor, *pose, self._feet_m, self._size_m, sight, tilt)
         return np.asarray(stride * beams > self._given.min_beams)
-
-    @staticmethod
-    def _tilted(yaw_deg: float, change: Change, tilt: Floats | None) -> Floats | None:
-        turn = Turn(0.0, change.turn.pitch_deg, change.turn.roll_deg)
-        if turn == AS_MOUNTED:
-            return tilt
-        return local_from_sensor(yaw_deg, turn, tilt) @ local_from_sensor(yaw_deg, AS_MOUNTED).T
 
     def keeps(self, place: Mapping[str, Any]) -> Bools:
         """Targets (n,) that a sensor sees under every change."""

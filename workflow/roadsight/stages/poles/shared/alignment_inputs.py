@@ -138,18 +138,16 @@ def read_scene(given: SceneFiles, lens: str | None = None) -> AlignmentScene:
             hint="see its column `status` for the reasons",
         )
     edges = _road_edges(given)
-    table = pd.concat([read_table(path, _EDGE) for path in given.image_edges])
-    pixels = {str(image): part for image, part in table.groupby("image", sort=True)}
     places = places_of(frames.reset_index(drop=True), edges, given.reach)
     lenses = known_lenses(lens, places)
     return AlignmentScene(
         [with_centre(place, lenses) for place in places],
         edges,
-        pixels,
+        _by_image(given.image_edges, _EDGE),
         given.reach,
         Noise.of_spacing(read_about(given.road_edges).get("spacing_m", 0.0)),
-        _terrain(given.terrain),
-        _pole_axes(given.pole_axes),
+        TerrainSight(read_terrain(given.terrain)).visible if given.terrain else None,
+        _by_image(given.pole_axes, _AXIS),
         _landmark_columns(given.columns),
         LandmarkNoise(),
         given.curvature == "simulate",
@@ -178,11 +176,11 @@ def with_centre(place: Place, lenses: Mapping[str, GivenLens]) -> Place:
     return replace(place, start=replace(place.start, cx_px=lens.cx_px, cy_px=lens.cy_px))
 
 
-def _pole_axes(paths: Sequence[Path]) -> dict[str, pd.DataFrame]:
-    """Pole axes by image."""
+def _by_image(paths: Sequence[Path], columns: list[str]) -> dict[str, pd.DataFrame]:
+    """Rows of all tables by image."""
     if not paths:
         return {}
-    table = pd.concat([read_table(path, _AXIS) for path in paths])
+    table = pd.concat([read_table(path, columns) for path in paths])
     return {str(image): part for image, part in table.groupby("image", sort=True)}
 
 
@@ -211,7 +209,3 @@ def _road_edges(given: SceneFiles) -> RoadEdges:
         near = np.isfinite(height) & (np.abs(height - xyz[:, 2]) < 1.0)
         xyz[near, 2] = height[near]
     return RoadEdges.from_points(xyz)
-
-
-def _terrain(path: Path | None) -> Visible | None:
-    return TerrainSight(read_terrain(path)).visible if path else None
