@@ -5,6 +5,7 @@ configfile: "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/step.smk"
 include: "workflow/rules/placement/placement_inputs.smk"
 include: "workflow/rules/poles/poles_inputs.smk"
 include: "workflow/rules/poles/videolog_inputs.smk"
