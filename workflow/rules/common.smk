@@ -480,6 +480,3 @@ def state_parameters():
             function = getattr(file, "callable", None) or file
             if inspect.isfunction(function):
                 function.__signature__ = inspect.signature(function)
-
-
-
