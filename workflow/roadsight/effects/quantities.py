@@ -20,7 +20,7 @@ from roadsight.placement.sensors.light import (
 )
 from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, Rosette, Sensor
 from roadsight.placement.sight.kinds import shape_of
-from roadsight.placement.sight.lanes import CAR, TRUCK, expected_in_the_way, vehicles_per_m
+from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
 from roadsight.poles.drive.drive_lenses import with_given
 from roadsight.poles.images.plumb_line import CERTAIN_SIGMAS
 

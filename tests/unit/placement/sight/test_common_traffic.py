@@ -18,7 +18,8 @@ from roadsight.placement.plans.availability import (
     shares_alone,
     spans_in_the_way,
 )
-from roadsight.placement.sight.lanes import CAR, TRUCK, free_shares, rasterise_lanes
+from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
+from roadsight.placement.sight.passing import CAR, TRUCK
 from roadsight.setcover.plans.joint import solve_joint
 from tests.unit.placement.sight.test_lanes import straight_lanes
 

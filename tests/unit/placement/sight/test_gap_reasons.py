@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from roadsight.placement.sight.lanes import TRUCK, free_shares, rasterise_lanes
+from roadsight.placement.sight.lanes import free_shares, rasterise_lanes
+from roadsight.placement.sight.passing import TRUCK
 from roadsight.stages.placement.find_obstacles import (
     DARK,
     VEHICLES,

@@ -10,15 +10,8 @@ import shapely
 from roadsight.io.records.placement_tables import read_detections, read_traffic, write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.placement.sight.detection import availability
-from roadsight.placement.sight.lanes import (
-    CAR,
-    TRUCK,
-    expected_in_the_way,
-    free_shares,
-    lanes_abreast,
-    rasterise_lanes,
-    trace_lanes,
-)
+from roadsight.placement.sight.lanes import free_shares, lanes_abreast, rasterise_lanes, trace_lanes
+from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way
 from roadsight_worlds.highway.highway import build_highway
 from roadsight_worlds.highway.truth import digitised_edges, truth_layers
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadsight.placement.sight.kinds import Box
-from roadsight.placement.sight.lanes import CAR, TRUCK, expected_in_the_way, vehicles_per_m
+from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
 
 
 def drawn(sensor, target, lane_y, per_m, vehicle, rng, draws=4000):

@@ -14,7 +14,8 @@ from roadsight.base.arrays import AnyPath, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.placement.sensors.poses import tilt_rotation
-from roadsight.placement.sight.lanes import CAR, TRUCK, Traffic, rasterise_lanes
+from roadsight.placement.sight.lanes import Traffic, rasterise_lanes
+from roadsight.placement.sight.passing import CAR, TRUCK
 
 _COLUMNS = ["candidate", "target", "hits"]
 _AVAILABILITY = "availability"

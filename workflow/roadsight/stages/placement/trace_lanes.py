@@ -14,8 +14,9 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.placement.sight.lanes import lanes_abreast, vehicles_per_m
+from roadsight.placement.sight.lanes import lanes_abreast
 from roadsight.placement.sight.lanes import trace_lanes as trace
+from roadsight.placement.sight.passing import vehicles_per_m
 from roadsight.stages.command import Command
 from roadsight.stages.placement.place_candidates import read_road
 
