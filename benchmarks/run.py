@@ -17,9 +17,9 @@ from roadsight.report.files import read_assets
 prepare_environment()
 
 from bench_measure import Size  # noqa: E402  # the number of threads is settled before
+from bench_page import ASSETS, render_bench  # noqa: E402
 from roadsight import __version__  # noqa: E402
 from roadsight.io.records.atomic import write_json  # noqa: E402
-from roadsight.report.evidence.bench_page import ASSETS, render_bench  # noqa: E402
 
 PROGRAMS = (
     "bench_scene",

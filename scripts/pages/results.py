@@ -10,10 +10,9 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks.bench_page import BOUND, is_bound
 from roadsight.base.texts import read_yaml
-from roadsight.evidence.truth.catalogue import AREAS
-from roadsight.evidence.truth.table import MEAN, holds
-from roadsight.report.evidence.bench_page import BOUND, is_bound
+from roadsight.evidence.truth.catalogue import AREAS, MEAN, holds
 from roadsight.report.evidence.tradeoffs_page import plain_table
 from roadsight.report.evidence.truth_page import words
 from scripts.pages.markdown import code, escaped, table

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roadsight.poles.triangulate.locate import triangulate
+from roadsight.poles.triangulate.explain import triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 
 FINE = UNAIDED.model_copy(

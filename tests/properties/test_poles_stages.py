@@ -15,7 +15,7 @@ from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.risk.roads import RouteTracks
-from roadsight.poles.triangulate.locate import triangulate
+from roadsight.poles.triangulate.explain import triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 from roadsight.scene.terrain.tin import triangulate as make_terrain

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Numbers
-from roadsight.evidence.camera_scores import camera_errors
+from roadsight.evidence.scores import camera_errors
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.pose import SIZE, Spread

@@ -10,8 +10,8 @@ from scipy.optimize import curve_fit
 from roadsight.base.arrays import Numbers
 from roadsight.poles.sightings.distances import ground_distance_m
 from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths
+from roadsight.poles.triangulate.explain import error_ellipse, triangulate
 from roadsight.poles.triangulate.geographic import triangulate_geographic
-from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.rays import UNAIDED, cross_rays, make_rays, pair_rays
 from roadsight_hardcases.case import Errors, fails, hard_case
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Numbers
-from roadsight.evidence.pavement_scores import binary_scores
+from roadsight.evidence.scores import binary_scores
 from roadsight.poles.risk.hazard import side_slopes
 from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.risk.scenarios import track_radius_m

@@ -8,9 +8,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.evidence.truth.catalogue import AREAS, Area, Metric
-from roadsight.evidence.truth.streets import f1
-from roadsight.evidence.truth.table import COLUMNS, MEAN, Figure, holds, truth_rows
+from roadsight.evidence.truth.catalogue import (
+    AREAS,
+    COLUMNS,
+    MEAN,
+    Area,
+    Figure,
+    Metric,
+    holds,
+    truth_rows,
+)
+from roadsight.evidence.truth.labelled import f1
 from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
 from roadsight.stages.truth.truth_ground import kappa, smrf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from roadsight.report.evidence.bench_page import ASSETS, BOUND, ratio_chart, render_bench
+from benchmarks.bench_page import ASSETS, BOUND, ratio_chart, render_bench
 from roadsight.report.files import read_assets
 
 ROW = {

@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from roadsight.studio.evidence_pages import effects_of, frontiers
+from roadsight.studio.api_routes import effects_of, frontiers
 from roadsight.studio.project import SiteFolder
 from roadsight.studio.run_progress import (
     TARGETS,

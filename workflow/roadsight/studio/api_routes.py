@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
+import pandas as pd
 from flask import Blueprint, Response, request
 
 from roadsight import __version__
+from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import stack_xyz
+from roadsight.io.records.atomic import read_json
+from roadsight.report.evidence.tradeoffs_page import measure_views
 from roadsight.studio.cloud_tiles import REACH_M, Clouds, snap_to_cloud
 from roadsight.studio.drawing import (
     Drawing,
@@ -25,7 +30,6 @@ from roadsight.studio.drive_views import (
     picture_type,
     without_distortion,
 )
-from roadsight.studio.evidence_pages import effects_of, frontiers
 from roadsight.studio.layout import Layouts, WhatIf
 from roadsight.studio.plan_files import (
     TYPES,
@@ -37,7 +41,7 @@ from roadsight.studio.plan_files import (
     save_plan,
 )
 from roadsight.studio.pole_review import Decisions, Pictures, review, save_decisions
-from roadsight.studio.project import Project
+from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.registering import (
     BaselineBody,
     PairsBody,
@@ -53,6 +57,68 @@ from roadsight.studio.requests import Body, body, version
 from roadsight.studio.run_progress import Order
 from roadsight.studio.runs import Runs
 from roadsight.studio.site_files import CloudBody, new_site, saving, site_version
+
+# Pages of the workflow by their path under results
+PAGES = {
+    "report.html": "Report",
+    "tradeoffs/index.html": "Accuracy and time",
+    "hardcases/index.html": "Hard cases",
+    "audit/index.html": "Effects audited",
+    "bench/index.html": "Benchmarks",
+}
+
+_EFFECT_FIELDS = {"effect", "job", "decision", "quantity", "value", "unit", "threshold", "reason"}
+
+
+def effects_of(site: SiteFolder) -> dict[str, Any]:
+    """Decisions on effects; none before they were made.
+
+    Raises
+    ------
+    InputError : the file is damaged.
+    """
+    path = site.results / "effects.json"
+    if not path.exists():
+        return {"effects": []}
+    content = read_json(path)
+    if not isinstance(content, list) or not all(
+        isinstance(row, dict) and row.keys() >= _EFFECT_FIELDS for row in content
+    ):
+        raise InputError("is damaged", where=str(path), hint="delete it and run the workflow")
+    return {"effects": content}
+
+
+def frontiers(results: Path) -> dict[str, Any]:
+    """Chart (SVG), verdict and rows of each measure of each knob that was swept.
+
+    Raises
+    ------
+    InputError : the table is damaged.
+    """
+    path = results / "tradeoffs/tradeoffs.csv"
+    if not path.exists():
+        return {"studies": []}
+    try:
+        table = pd.read_csv(path)
+        groups = table.groupby(["job", "knob"], sort=False)
+        studies = [
+            {"job": job, "knob": knob, "views": measure_views(cast(Any, part.to_dict("records")))}
+            for (job, knob), part in groups
+        ]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "is damaged", where=str(path), hint="delete it and run: snakemake tradeoffs"
+        ) from error
+    return {"studies": studies}
+
+
+def pages(results: Path, address: str) -> list[dict[str, str]]:
+    """Pages that are there, with the addresses under which the studio shows them."""
+    return [
+        {"title": title, "url": f"{address}/{path}"}
+        for path, title in PAGES.items()
+        if (results / path).is_file()
+    ]
 
 
 def site_routes(project: Project) -> Blueprint:

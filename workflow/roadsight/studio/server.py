@@ -25,15 +25,16 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from roadsight.base.errors import InputError
 from roadsight.studio.api_routes import (
+    PAGES,
     cloud_routes,
     drawing_routes,
+    pages,
     plans_routes,
     registration_routes,
     results_routes,
     run_routes,
     site_routes,
 )
-from roadsight.studio.evidence_pages import PAGES, pages
 from roadsight.studio.project import Project
 from roadsight.studio.site_files import OutdatedError
 

@@ -8,17 +8,15 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.cross_sections import (
-    cross_section,
-    profile_from_heights,
-    profile_from_points,
-    slope_text,
-)
-from roadsight.poles.risk.profiles import (
     LEAST_SIGMA_M,
     Profile,
     binned_profile,
+    cross_section,
     fit_pieces,
     noise_of,
+    profile_from_heights,
+    profile_from_points,
+    slope_text,
     steepest,
 )
 from roadsight_worlds.rural.rural_road import build_rural

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
+from roadsight.poles.triangulate.site import SHAPE_COLUMNS, with_shapes
 
 
 def poles():

@@ -10,6 +10,8 @@ from roadsight.poles.sightings.metric_depth import NetworkScale
 from roadsight.poles.triangulate.pole_doubts import (
     FAR_M,
     FAR_SIGMA_M,
+    STANDING,
+    UNDER_CROWN,
     UNTURNED,
     crown_doubts,
     far_reaching,
@@ -18,7 +20,6 @@ from roadsight.poles.triangulate.pole_doubts import (
 )
 from roadsight.poles.triangulate.rays import UNAIDED
 from roadsight.poles.triangulate.site import site_poles
-from roadsight.poles.triangulate.withhold import STANDING, UNDER_CROWN
 
 
 def sightings(anchored, others=10, lost=0):

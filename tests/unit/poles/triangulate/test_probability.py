@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.triangulate.describe import (
+from roadsight.poles.triangulate.explain import explain_rays
+from roadsight.poles.triangulate.rays import UNAIDED
+from roadsight.poles.triangulate.site import (
     CALIBRATED,
     one_thing_probability,
     probability_source,
     real_probability,
 )
-from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.rays import UNAIDED
 from tests.helpers.drives import Drive, rays_and_poles, simulate
 
 DRIVES = (

@@ -9,19 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
-from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.locate import error_ellipse, triangulate
+from roadsight.poles.triangulate.explain import error_ellipse, explain_rays, triangulate
 from roadsight.poles.triangulate.noise import place_groups, stated_noise
-from roadsight.poles.triangulate.published import follows_sequence
-from roadsight.poles.triangulate.rays import (
-    UNAIDED,
-    TriangulationSettings,
-    cross_rays,
-    make_rays,
-    pair_rays,
-)
-from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
-from roadsight.poles.triangulate.withhold import (
+from roadsight.poles.triangulate.pole_doubts import (
     FILLED,
     LOW,
     STANDING,
@@ -35,6 +25,15 @@ from roadsight.poles.triangulate.withhold import (
     withhold_thin,
     withhold_under_crowns,
 )
+from roadsight.poles.triangulate.published import follows_sequence
+from roadsight.poles.triangulate.rays import (
+    UNAIDED,
+    TriangulationSettings,
+    cross_rays,
+    make_rays,
+    pair_rays,
+)
+from roadsight.poles.triangulate.site import POLE_COLUMNS, SHARED_COLUMNS, site_poles
 from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
 
 

@@ -1,7 +1,7 @@
 """Trees in a cloud: tops of crowns, which are wider than wires, arms and poles are.
 
 Images do not part crowns that touch, and a survey from the air seldom meets a trunk; the tops of a
-canopy are apart. What a crown is, an image says afterwards (`confirm`).
+canopy are apart. What a crown is, an image says afterwards (`cloud_objects.confirmed`).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
-from roadsight.poles.triangulate.locate import triangulate
+from roadsight.poles.triangulate.explain import triangulate
 from roadsight.poles.triangulate.published import published_poles
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,

@@ -9,8 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from roadsight.evidence.truth.catalogue import AREAS, Area
-from roadsight.evidence.truth.table import MEAN, holds
+from roadsight.evidence.truth.catalogue import AREAS, MEAN, Area, holds
 from roadsight.report.files import filled_page
 from roadsight.report.wording import MISSING, number, short
 

@@ -20,8 +20,8 @@ from roadsight.poles.images.views import View
 from roadsight.poles.sightings.distances import HeightAt, road_points, sample_depth
 from roadsight.poles.sightings.metric_depth import balancing_weights, fit_metric_depth
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
+from roadsight.report.charts import hazard_profiles
 from roadsight.report.packing import pack
-from roadsight.report.poles.hazard_charts import hazard_profiles
 from roadsight.report.poles.poles_layers import (
     ACCEPTED,
     REJECTED,

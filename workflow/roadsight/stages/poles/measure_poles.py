@@ -40,11 +40,11 @@ from roadsight.poles.images.views import (
     usable,
     views_of,
 )
-from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.sightings.distances import HeightAt, fit_front_depth, ground_distance_m
 from roadsight.poles.sightings.metric_depth import DepthFit
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN, TURNED_COLUMNS, ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
+from roadsight.poles.triangulate.cloud_objects import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
 from roadsight.scene.classes import is_road
 from roadsight.stages.command import Command, logged

@@ -11,7 +11,7 @@ from typing import Annotated
 import pandas as pd
 
 from roadsight.base.doubts import tell_named
-from roadsight.evidence.camera_scores import camera_errors, camera_scores
+from roadsight.evidence.scores import camera_errors, camera_scores
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json, write_json

@@ -26,40 +26,35 @@ from roadsight.io.records.text_tables import in_native, read_decisions, write_cs
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.roads import RouteTracks
-from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.metric_depth import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.metric_depth import network_scales, with_scales
-from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
-from roadsight.poles.triangulate.describe import (
-    SHAPE_COLUMNS,
-    UNKNOWN,
-    probability_source,
-    real_probability,
-    with_shapes,
-)
+from roadsight.poles.triangulate.cloud_objects import blocks_of, confirmed, guardrails_of, trees_of
 from roadsight.poles.triangulate.pole_doubts import (
+    are_filled,
     crown_doubts,
+    drop_near_structures,
     far_reaching,
     network_doubts,
-    pole_doubts,
-)
-from roadsight.poles.triangulate.rays import TriangulationSettings
-from roadsight.poles.triangulate.site import (
-    POLE_COLUMNS,
-    SHARED_COLUMNS,
-    SIGHTING_COLUMNS,
-    apply_decisions,
-    site_poles,
-)
-from roadsight.poles.triangulate.withhold import (
-    are_filled,
-    drop_near_structures,
     panel_edges,
+    pole_doubts,
     shares_above,
     withhold_by_height,
     withhold_filled,
     withhold_thin,
     withhold_under_crowns,
+)
+from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.site import (
+    POLE_COLUMNS,
+    SHAPE_COLUMNS,
+    SHARED_COLUMNS,
+    SIGHTING_COLUMNS,
+    UNKNOWN,
+    apply_decisions,
+    probability_source,
+    real_probability,
+    site_poles,
+    with_shapes,
 )
 from roadsight.stages.command import Command, tell
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 import shapely
 
-from roadsight.evidence.pavement_scores import pavement_scores
+from roadsight.evidence.scores import pavement_scores
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json, write_json

@@ -9,9 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.evidence.truth.streets import ROAD, UNLABELLED, f1, ground_points, read_street
-from roadsight.evidence.truth.survey import Survey, read_survey
-from roadsight.evidence.truth.table import Figure
+from roadsight.evidence.truth.catalogue import Figure
+from roadsight.evidence.truth.labelled import (
+    ROAD,
+    UNLABELLED,
+    Survey,
+    f1,
+    ground_points,
+    read_street,
+    read_survey,
+)
 from roadsight.scene.whole import ground_of, published_road, road_of, settled_road
 from roadsight.stages.truth.truth_stage import measuring
 

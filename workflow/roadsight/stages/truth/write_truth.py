@@ -11,8 +11,7 @@ from typing import Annotated
 import pandas as pd
 
 from roadsight import __version__
-from roadsight.evidence.truth.catalogue import AREAS
-from roadsight.evidence.truth.table import Figure, truth_rows
+from roadsight.evidence.truth.catalogue import AREAS, Figure, truth_rows
 from roadsight.io.records.atomic import atomic_path, read_json, write_text
 from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
