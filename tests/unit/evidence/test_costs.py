@@ -182,7 +182,7 @@ def test_a_step_without_known_memory_is_fitted():
     assert cost.cpu_s.at(2.0) == pytest.approx(1.5)
 
 
-WHOLE = {"common", "evidence", "truth"}
+WHOLE = {"common", "step", "evidence", "truth"}
 """Files of rules whose steps are not a site's."""
 
 LEFT_OUT = {

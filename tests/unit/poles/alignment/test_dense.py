@@ -26,7 +26,7 @@ from roadsight.poles.alignment.verdict import (
     TOO_LITTLE,
     UNHELD,
     VAGUE_HEADING,
-    DenseLimits,
+    Limits,
     dense_doubt,
     lost_views,
 )
@@ -67,7 +67,7 @@ def test_the_true_pose_is_found_and_accepted(found):
     assert np.abs(fit.pose[3:] - TRUE[3:]).max() < 0.3
     assert np.abs(fit.pose[:3] - TRUE[:3]).max() < 0.3
     assert np.hypot(*(fit.pose - TRUE)[:2]) < 4 * np.hypot(*fit.sigma[:2])
-    assert dense_doubt(task, fit, DenseLimits()) == ""
+    assert dense_doubt(task, fit, Limits()) == ""
 
 
 def test_the_stated_sigma_holds_what_all_samples_share(found):
@@ -86,7 +86,7 @@ def test_the_result_repeats(found):
 def test_a_photograph_of_another_street_is_not_used(cloud):
     other = DenseStreet(seed=9).photograph(TRUE)
     task = DenseTask(cloud, ImageEvidence(*other), LENS, moved(TRUE, OFF), EXPECTED)
-    assert dense_doubt(task, align_dense(task), DenseLimits())
+    assert dense_doubt(task, align_dense(task), Limits())
 
 
 def test_a_blank_photograph_keeps_what_was_expected_and_is_not_used(cloud):
@@ -94,12 +94,12 @@ def test_a_blank_photograph_keeps_what_was_expected_and_is_not_used(cloud):
     task = DenseTask(cloud, ImageEvidence(blank, blank * 0), LENS, TRUE, EXPECTED)
     fit = align_dense(task)
     np.testing.assert_allclose(fit.offsets, 0.0, atol=1e-4)
-    assert dense_doubt(task, fit, DenseLimits()) in (NO_LEAD, VAGUE_HEADING)
+    assert dense_doubt(task, fit, Limits()) in (NO_LEAD, VAGUE_HEADING)
 
 
 def test_an_empty_cloud_is_told(seen):
     task = DenseTask(SceneCloud.joined([]), ImageEvidence(*seen), LENS, TRUE, EXPECTED)
-    assert dense_doubt(task, align_dense(task), DenseLimits()) == TOO_LITTLE
+    assert dense_doubt(task, align_dense(task), Limits()) == TOO_LITTLE
 
 
 def test_large_images_are_looked_at_small(street, cloud, found):
@@ -143,7 +143,7 @@ def fit_of(**changed):
     ],
 )
 def test_reasons(found, changed, reason):
-    assert dense_doubt(found[0], fit_of(**changed), DenseLimits()) == reason
+    assert dense_doubt(found[0], fit_of(**changed), Limits()) == reason
 
 
 def test_what_a_drive_loses_is_said():

@@ -23,7 +23,13 @@ from roadsight.poles.triangulate.association import (
     speaks,
 )
 from roadsight.poles.triangulate.explain import associate, explain_rays, likelihood
-from roadsight.poles.triangulate.noise import Noise, fit_noise, misfits, place_groups, stated_noise
+from roadsight.poles.triangulate.noise import (
+    RayNoise,
+    fit_noise,
+    misfits,
+    place_groups,
+    stated_noise,
+)
 from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from tests.helpers.drives import Drive, on_road, rays_and_poles, simulate
 
@@ -392,7 +398,7 @@ def test_work_grows_with_the_number_of_rays_only():
 
 
 def test_noise_only_widens_when_asked():
-    low, high = Noise(np.arange(1.0, 7.0)), Noise(np.arange(6.0, 0.0, -1.0))
+    low, high = RayNoise(np.arange(1.0, 7.0)), RayNoise(np.arange(6.0, 0.0, -1.0))
     assert low.or_wider(high).variances.tolist() == [6, 5, 4, 4, 5, 6]
 
 

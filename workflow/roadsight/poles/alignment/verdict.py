@@ -263,45 +263,27 @@ def with_shared_edges(fit: Fit, task: Task) -> Fit:
     return replace(fit, covariance=covariance)
 
 
-@dataclass(frozen=True)
-class DenseLimits:
-    """Bounds of what is accepted.
-
-    Parameters
-    ----------
-    samples : of the cloud in view. bound : offset in expected standard deviations beyond which a
-        pose lies outside what was searched. second : by how much more another pose must cost
-        (log-likelihood); below 6 wrong poses of the five streets pass.
-        lead : log-likelihood ratio beyond the best of many random poses: at right poses of five
-        streets 8.7 to 37, at wrong ones and with images of other streets up to 7.0 (100 fits).
-    sigma_heading_deg, sigma_lateral_m : one standard deviation.
-    """
-
-    samples: int = 300
-    bound: float = 4.0
-    second: float = 6.0
-    lead: float = 8.0
-    sigma_heading_deg: float = Limits.sigma_heading_deg
-    sigma_lateral_m: float = Limits.sigma_lateral_m
-
-    @classmethod
-    def of(cls, limits: Limits) -> DenseLimits:
-        """The same bounds of what a pose may be uncertain by."""
-        return cls(
-            sigma_heading_deg=limits.sigma_heading_deg, sigma_lateral_m=limits.sigma_lateral_m
-        )
+# What a fit of all that photograph and cloud share must keep, beside `Limits`.
+_SAMPLES = 300  # of the cloud in view
+_BOUND = 4.0  # offset in expected standard deviations: a pose beyond was not searched
+# By how much more another pose must cost (log-likelihood); below it wrong poses of the five streets
+# pass.
+_SECOND = 6.0
+# Log-likelihood ratio beyond the best of many random poses: at right poses of five streets 8.7 to
+# 37, at wrong ones and with images of other streets up to 7.0 (100 fits).
+LEAST_LEAD = 8.0
 
 
-def dense_doubt(task: DenseTask, fit: DenseFit, limits: DenseLimits) -> str:
+def dense_doubt(task: DenseTask, fit: DenseFit, limits: Limits) -> str:
     """Why a fit cannot be trusted, or "" if it can."""
     with np.errstate(invalid="ignore"):
         sigma = fit.sigma
     doubts = (
-        (fit.samples < limits.samples, TOO_LITTLE),
+        (fit.samples < _SAMPLES, TOO_LITTLE),
         (not (np.isfinite(sigma).all() and np.isfinite(fit.offsets).all()), UNHELD),
-        (bool((np.abs(fit.offsets) >= limits.bound * task.sigma).any()), AT_BOUND),
-        (fit.lead < limits.lead, NO_LEAD),
-        (fit.second < limits.second, AMBIGUOUS),
+        (bool((np.abs(fit.offsets) >= _BOUND * task.sigma).any()), AT_BOUND),
+        (fit.lead < LEAST_LEAD, NO_LEAD),
+        (fit.second < _SECOND, AMBIGUOUS),
         (sigma[YAW] > limits.sigma_heading_deg, VAGUE_HEADING),
         (sigma[1] > limits.sigma_lateral_m, VAGUE_PLACE),
     )

@@ -27,7 +27,7 @@ from roadsight.poles.alignment.dense import (
     moved,
 )
 from roadsight.poles.alignment.pose import FOCAL, Spread
-from roadsight.poles.alignment.verdict import DenseLimits
+from roadsight.poles.alignment.verdict import LEAST_LEAD
 from roadsight.poles.calibration.calibration import Mount, with_known
 
 # Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)
@@ -172,7 +172,7 @@ def _confirmed(
     for task in tasks:
         about = replace(task, pose=moved(task.pose, mean), covariance=np.diag(own**2))
         fit = align_dense(about)
-        if fit.lead >= DenseLimits().lead:
+        if fit.lead >= LEAST_LEAD:
             found.append(mean + fit.offsets)
     if len(found) < FEWEST:
         return mean, covariance

@@ -57,7 +57,7 @@ _OCCLUDERS = _table(
 
 
 @dataclass(frozen=True)
-class ImageEdges:
+class TracedEdges:
     """Edges of one image.
 
     Parameters
@@ -72,7 +72,7 @@ class ImageEdges:
     reason: str = ""
 
 
-def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
+def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> TracedEdges:
     """Edges of the road in a mask of project classes (rows, columns).
 
     Lane markings without the middle line, as centre-lines; and the border of the road outside the
@@ -112,7 +112,7 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
         reason = "no edge of the road in sight" if road.any() else "road too small"
         if not cv2.LUT(mask, _ROAD).any():
             reason = "no road in the mask"
-    return ImageEdges(points.astype(np.float32), side, is_lane, reason)
+    return TracedEdges(points.astype(np.float32), side, is_lane, reason)
 
 
 @compiled()

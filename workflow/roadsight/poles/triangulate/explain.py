@@ -27,7 +27,7 @@ from roadsight.poles.triangulate.association import (
     in_order,
     take_best,
 )
-from roadsight.poles.triangulate.noise import Noise, fit_noise, place_groups, stated_noise
+from roadsight.poles.triangulate.noise import RayNoise, fit_noise, place_groups, stated_noise
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
@@ -62,7 +62,7 @@ class Explained:
     covariance: Floats
     gain: Floats
     scale: float
-    noise: Noise
+    noise: RayNoise
 
 
 def explain_rays(
@@ -318,7 +318,11 @@ _SIGMAS = (1e-3, 1.0)
 
 
 def likelihood(
-    rays: Rays, near: Neighbours, poles: list[Pole], noise: Noise, settings: TriangulationSettings
+    rays: Rays,
+    near: Neighbours,
+    poles: list[Pole],
+    noise: RayNoise,
+    settings: TriangulationSettings,
 ) -> Likelihood:
     """Densities of views and strays, from poles as they are known so far; none at first.
 

@@ -46,7 +46,7 @@ _PARTS = 6  # variances of place, bearing and depth: a ray's own, and what near 
 
 
 @dataclass(frozen=True)
-class Noise:
+class RayNoise:
     """Variances of errors, each alone and shared.
 
     Parameters
@@ -57,9 +57,9 @@ class Noise:
 
     variances: Floats
 
-    def or_wider(self, other: Noise) -> Noise:
+    def or_wider(self, other: RayNoise) -> RayNoise:
         """The larger of the variances of both."""
-        return Noise(np.maximum(self.variances, other.variances))
+        return RayNoise(np.maximum(self.variances, other.variances))
 
     @property
     def position_m(self) -> float:
@@ -95,12 +95,12 @@ class Misfits(NamedTuple):
     parts: Floats
     fixed: Floats
 
-    def covariance(self, noise: Noise) -> Floats:
+    def covariance(self, noise: RayNoise) -> Floats:
         """Of the points (g, 2 k, 2 k)."""
         return np.tensordot(noise.variances, self.parts, 1) + self.fixed
 
 
-def stated_noise(settings: TriangulationSettings) -> Noise:
+def stated_noise(settings: TriangulationSettings) -> RayNoise:
     """What the settings say, before any ray is seen."""
     stated = (
         settings.sigma_position_m,
@@ -108,12 +108,12 @@ def stated_noise(settings: TriangulationSettings) -> Noise:
         settings.sigma_depth_ratio,
     )
     share = settings.shared_variance
-    return Noise(np.kron(np.square(stated), [1.0 - share, share]).astype(np.float64))
+    return RayNoise(np.kron(np.square(stated), [1.0 - share, share]).astype(np.float64))
 
 
 def fit_noise(
     rays: Rays, groups: Sequence[Ints], places: Floats, settings: TriangulationSettings
-) -> Noise:
+) -> RayNoise:
     """Variances that explain best how rays of groups lie about their places (g, 2)."""
     prior = np.log(stated_noise(settings).variances)
     together = np.kron(np.diag(np.square(_LOOSE)), np.ones((2, 2)))
@@ -126,7 +126,7 @@ def fit_noise(
         variances = np.exp(log_variances)
         slope, information = np.zeros(_PARTS), np.zeros((_PARTS, _PARTS))
         for block in blocks:
-            more_slope, more_information = _restricted(block, Noise(variances))
+            more_slope, more_information = _restricted(block, RayNoise(variances))
             slope += more_slope
             information += more_information
         uphill = variances * slope - tight @ (log_variances - prior)
@@ -135,10 +135,10 @@ def fit_noise(
         log_variances = log_variances + step
         if np.abs(step).max() < _SETTLED:
             break
-    return Noise(np.exp(log_variances))
+    return RayNoise(np.exp(log_variances))
 
 
-def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:
+def _restricted(block: Misfits, noise: RayNoise) -> tuple[Floats, Floats]:
     """Slope (6,) and expected curvature (6, 6) of the restricted log likelihood."""
     design = _repeated(block.rest_m.shape[1] // 2)
     weights = np.linalg.inv(block.covariance(noise))
@@ -155,7 +155,7 @@ def place_groups(
     rays: Rays,
     groups: Sequence[Ints],
     places: Floats,
-    noise: Noise,
+    noise: RayNoise,
     settings: TriangulationSettings,
 ) -> tuple[Floats, Floats]:
     """Places (g, 2) and covariances (g, 2, 2) of groups by generalised least squares.

@@ -46,7 +46,6 @@ from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.track import sides_of_track
 from roadsight.poles.alignment.verdict import (
     OTHER_THINGS,
-    DenseLimits,
     Limits,
     agreeing_landmarks,
     condition,
@@ -289,7 +288,7 @@ def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -
     expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
     own = scene.task(place, task.prior_mean[:SIZE], expected[:SIZE, :SIZE])
     fit = align_dense(own)
-    reason = dense_doubt(own, fit, DenseLimits.of(limits))
+    reason = dense_doubt(own, fit, limits)
     pose, covariance = (own.pose, own.covariance) if reason else (fit.pose, fit.covariance)
     # Along and across are those of the track, as everywhere, and not of the camera's view.
     back = turned_axes(place.start.heading_deg - own.pose[DENSE_YAW])

@@ -14,7 +14,7 @@ from roadsight.base.sections.poles import EdgeTracing
 from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.images.image_edges import BORDER, LANE, ImageEdges, trace_edges
+from roadsight.poles.images.image_edges import BORDER, LANE, TracedEdges, trace_edges
 from roadsight.poles.images.views import usable, views_of
 from roadsight.stages.command import Command, logged
 
@@ -39,13 +39,13 @@ def trace_image_edges(
             reasons[view.image] = edges.reason
     for reason, count in sorted(Counter(reasons.values()).items()):
         log.warning("%d of %d images: %s", count, len(views), reason)
-    empty = ImageEdges(np.empty((0, 2), np.float32), np.empty(0, np.int8), np.empty(0, bool))
+    empty = TracedEdges(np.empty((0, 2), np.float32), np.empty(0, np.int8), np.empty(0, bool))
     table = pd.concat([_table("", empty), *tables], ignore_index=True)
     log.info("%d images, %d edge points", len(views), len(table))
     write_table(out, table, {"settings": settings.model_dump(), "without_edges": reasons})
 
 
-def _table(image: str, edges: ImageEdges) -> pd.DataFrame:
+def _table(image: str, edges: TracedEdges) -> pd.DataFrame:
     count = len(edges.uv_px)
     return pd.DataFrame(
         {

@@ -29,14 +29,7 @@ from roadsight.poles.alignment.pose import FOCAL, HEIGHT, INSETS, PITCH, ROLL, S
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track
-from roadsight.poles.alignment.verdict import (
-    DenseLimits,
-    Limits,
-    dense_doubt,
-    doubt,
-    sigmas,
-    too_little,
-)
+from roadsight.poles.alignment.verdict import Limits, dense_doubt, doubt, sigmas, too_little
 from roadsight.poles.alignment.visible import SceneCloud
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.images.evidence import ImageEvidence
@@ -171,7 +164,7 @@ def _dense(
     evidence = ImageEvidence(grey, classes)
     task = DenseTask(scene.cloud, evidence, lens, start, np.diag(EXPECTED**2))
     fit = align_dense(task)
-    reason = dense_doubt(task, fit, DenseLimits())
+    reason = dense_doubt(task, fit, Limits())
     return _Aligned(_off(fit.pose[YAW], true), float(fit.sigma[YAW]), not reason)
 
 
