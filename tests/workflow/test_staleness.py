@@ -243,7 +243,7 @@ MODULES = [
     ("roadsight/effects/quantities.py", after("plan_effects")),
     ("roadsight/scene/pavement/outline.py", after("extract_pavement")),
     ("roadsight/placement/sight/obstacles.py", after("find_obstacles")),
-    ("roadsight/evidence/camera_scores.py", after("score_pavement")),
+    ("roadsight/evidence/scores.py", after("score_pavement")),
     (
         "roadsight/placement/candidates/candidates.py",
         after("place_candidates", "densify_candidates"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import tempfile
 import webbrowser
 from collections.abc import Iterator
@@ -28,11 +29,11 @@ def run(
     InputError : no project there, or the port is taken.
     """
     from roadsight.studio.project import Project, find_project  # noqa: PLC0415  # of this verb only
-    from roadsight.studio.server import LOOPBACK, create_app, listen, new_token  # noqa: PLC0415
+    from roadsight.studio.server import LOOPBACK, create_app, listen  # noqa: PLC0415
 
     root = find_project(folder)
     os.chdir(root)
-    token = new_token()
+    token = secrets.token_urlsafe(24)
     server = listen(create_app(Project(root), token), port)
     address = f"http://{LOOPBACK}:{server.server_port}/#token={token}"
     print(f"Studio of {root}: {address}\nEnd it with Ctrl+C.", flush=True)

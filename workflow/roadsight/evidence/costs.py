@@ -13,7 +13,7 @@ sites count alike.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -252,19 +252,6 @@ def typical_factor(ratios: Iterable[float]) -> float:
     """Factor within which two thirds of held-out predictions lie, in either direction."""
     logs = np.abs(np.log(list(ratios)))
     return float(np.exp(np.quantile(logs, 2 / 3))) if len(logs) else float("nan")
-
-
-def costs_to_content(costs: dict[str, StepCost]) -> dict[str, Any]:
-    """Plain values for a JSON file."""
-    return {step: asdict(cost) for step, cost in sorted(costs.items())}
-
-
-def costs_from_content(content: dict[str, Any]) -> dict[str, StepCost]:
-    """Inverse of `costs_to_content`."""
-    return {
-        step: StepCost(Line(**cost["cpu_s"]), Line(**cost["peak_mib"]), int(cost["sites"]))
-        for step, cost in content.items()
-    }
 
 
 # Costs of the steps that all levels of a job's studies share with their base.

@@ -18,8 +18,6 @@ from roadsight.evidence.costs import (
     Line,
     Record,
     StepCost,
-    costs_from_content,
-    costs_to_content,
     fit,
     fit_line,
     held_out,
@@ -155,7 +153,11 @@ def read_costs(path: Path) -> CostTable:
         dag = Line(**content["dag"]["s"]), Line(**content["dag"]["mib"])
         stored = {kind: Line(**line) for kind, line in content["stored"].items() if kind in STORED}
         factor = float(content["held_out"]["factor"] or "nan")
-        return CostTable(costs_from_content(content["steps"]), stored, dag, factor)
+        steps = {
+            step: StepCost(Line(**cost["cpu_s"]), Line(**cost["peak_mib"]), int(cost["sites"]))
+            for step, cost in content["steps"].items()
+        }
+        return CostTable(steps, stored, dag, factor)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"is no cost model ({type(error).__name__}: {error})",
@@ -185,7 +187,7 @@ def fit_costs(sites: Sequence[Path], dag: tuple[Line, Line]) -> dict[str, Any]:
     ratios = held_out(records)
     return {
         "sites": {name: asdict(found) for name, found in amounts.items()},
-        "steps": costs_to_content(fit(records)),
+        "steps": {step: asdict(cost) for step, cost in sorted(fit(records).items())},
         "stored": {kind: asdict(line) for kind, line in lines.items()},
         "dag": {"s": asdict(dag[0]), "mib": asdict(dag[1])},
         "held_out": {"predicted_by_actual": ratios, "factor": typical_factor(ratios.values())},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from roadsight.evidence.metrics import METRICS
@@ -184,11 +184,6 @@ def next_step(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         "mib": step["peak_mib"] - default["peak_mib"],
         "error": step["error_vs_reference"] - default["error_vs_reference"],
     }
-
-
-def as_json(costs: Mapping[str, Cost]) -> dict[str, dict[str, float]]:
-    """Costs as plain values."""
-    return {rule: asdict(cost) for rule, cost in costs.items()}
 
 
 def precision_rows(measured: Mapping[str, Any]) -> list[dict[str, Any]]:

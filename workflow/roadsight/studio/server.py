@@ -154,11 +154,6 @@ _POLICY = (
 )
 
 
-def new_token() -> str:
-    """A token that cannot be guessed."""
-    return secrets.token_urlsafe(24)
-
-
 def protect(app: Flask, token: str) -> None:
     """Refuse foreign hosts and origins, and calls of the interface without the token."""
     app.config["MAX_CONTENT_LENGTH"] = _LARGEST_BYTES

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
-from roadsight.poles.alignment.drive import roadway_at
+from roadsight.poles.alignment.drive import Roadway, roadway_at
 from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
 from roadsight.poles.alignment.track import extended_track, sides_of_track, track_headings_deg
 
@@ -75,13 +75,12 @@ def test_extended_track():
 def test_roadway_of_a_tilted_road():
     edges = RoadEdges.from_points(straight_edges(grade=0.05, bank=-0.03))
     road = roadway_at(edges, [1.0, 60.0, 3.0], 3.0, 0.0)
-    assert road.from_edges
     assert abs((road.heading_deg + 180) % 360 - 180) < 0.1
     assert road.grade == pytest.approx(0.05, abs=0.004)
     assert road.bank == pytest.approx(-0.03, abs=0.004)
     assert abs(road.bend) < 1e-4
     alone = roadway_at(edges, [500.0, 60.0, 3.0], 3.0, 0.02)
-    assert (alone.from_edges, alone.heading_deg, alone.grade) == (False, 3.0, 0.02)
+    assert alone == Roadway(3.0, 0.02, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("change", [1.5e-4, -1.5e-4])
@@ -129,6 +128,6 @@ def test_edges_ahead_are_thinned_on_both_sides():
 def test_no_edges_and_bad_edges():
     empty = RoadEdges.from_points(np.empty((0, 3)))
     assert len(edges_ahead(empty, [0, 0, 0], 0.0, TRACK).half_m) == 0
-    assert not roadway_at(empty, [0, 0, 0], 5.0, 0.0).from_edges
+    assert roadway_at(empty, [0, 0, 0], 5.0, 0.0) == Roadway(5.0, 0.0, 0.0, 0.0, 0.0)
     with pytest.raises(InputError, match="not finite"):
         RoadEdges.from_points([[0.0, np.nan, 0.0]])

@@ -250,8 +250,8 @@ class Roadway:
     """Direction and tilt of the road at one place.
 
     Heading in degrees from grid north, rise per metre ahead and to the right; turn to the right
-    in radians per metre and change of the grade per metre. ``from_edges`` is false where too few
-    edges lie around and the track alone had to do.
+    in radians per metre and change of the grade per metre. Where too few edges
+    lie around, the track alone has to do, and bank, bend and hump are 0.
     """
 
     heading_deg: float
@@ -259,7 +259,6 @@ class Roadway:
     bank: float
     bend: float
     hump: float
-    from_edges: bool
 
 
 def roadway_at(
@@ -279,7 +278,7 @@ def roadway_at(
     offset = edges.xyz_m[index] - place
     (turned_deg, bend), like = _course(_ahead(offset, heading_deg), turn)
     if like.sum() < _FEWEST:
-        return Roadway(heading_deg, grade, 0.0, 0.0, 0.0, False)
+        return Roadway(heading_deg, grade, 0.0, 0.0, 0.0)
     offset, heading = offset[like], heading_deg + turned_deg
     # Surface through the edges: height, grade, bank, bend of the grade and its change.
     ahead, right = _ahead(offset, heading), _aside(offset, heading)
@@ -292,7 +291,7 @@ def roadway_at(
     )
     on_right = _aside(offset, heading_deg) >= 0
     bank = tilt[2] if min(on_right.sum(), (~on_right).sum()) >= 3 else 0.0
-    return Roadway(heading % 360.0, tilt[1], bank, bend, 2.0 * tilt[3], True)
+    return Roadway(heading % 360.0, tilt[1], bank, bend, 2.0 * tilt[3])
 
 
 def on_road(track_xy_m: ArrayLike, headings_deg: ArrayLike, edges: RoadEdges) -> Floats:

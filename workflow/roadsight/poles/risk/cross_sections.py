@@ -66,7 +66,7 @@ class Pieces:
     ----------
     ends_m : (k + 1,) runs of the ends. sigma_ends_m : (k + 1,) of the hinges, 0 at both ends.
     slope : (k,) rise over run, negative falls away from the road. sigma_slope : (k,).
-    jump_m : (k - 1,) rise of the step at each inner end, 0 where the pieces meet. sigma_jump_m.
+    jump_m : (k - 1,) rise of the step at each inner end, 0 where the pieces meet.
     start_height_m : height at the first end.
     """
 
@@ -75,7 +75,6 @@ class Pieces:
     slope: Floats
     sigma_slope: Floats
     jump_m: Floats
-    sigma_jump_m: Floats
     start_height_m: float
 
     def __len__(self) -> int:
@@ -263,15 +262,14 @@ def _measured(profile: Profile, hinges: Floats, moving: Ints, jumping: Ints) -> 
         bend = max(abs(bends[hinge]), 1e-3)
         sigma_ends[1 + hinge] = np.sqrt(variance[2 + k + number]) / bend
     spacing = np.diff(x)
-    jump, sigma_jump = np.zeros(k), np.zeros(k)
+    jump = np.zeros(k)
     for number, hinge in enumerate(jumping):
         jump[hinge] = plain[2 + k + number]
-        sigma_jump[hinge] = np.sqrt(variance[2 + k + len(moving) + number])
         row = min(int(np.searchsorted(x, hinges[hinge])), len(spacing))
         sigma_ends[1 + hinge] = spacing[max(row - 1, 0)] / np.sqrt(12)
     ends = np.r_[low, hinges, x[-1]]
     sigma_slope = np.maximum(sigma_slope, 1e-6)
-    return Pieces(ends, sigma_ends, slope, sigma_slope, jump, sigma_jump, float(plain[0]))
+    return Pieces(ends, sigma_ends, slope, sigma_slope, jump, float(plain[0]))
 
 
 def steepest(pieces: Pieces, sign: int = -1) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ import math
 import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +18,7 @@ from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
 from roadsight.evidence.exact_highway import RCS_M2, TARGET
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.placement_metrics import Results
-from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
+from roadsight.evidence.tradeoffs import cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import write_json
 from roadsight.placement.sensors.poses import AS_MOUNTED, turns_of
@@ -89,7 +90,9 @@ def measure_tradeoff(
     for name, value in values.items():
         if isinstance(value, float) and not math.isfinite(value):
             values[name] = None
-    write_json(out, {"metrics": values, "stages": as_json(costs)})
+    write_json(
+        out, {"metrics": values, "stages": {rule: asdict(cost) for rule, cost in costs.items()}}
+    )
     shutil.rmtree(variant.folder)
 
 
