@@ -12,9 +12,9 @@ import pandas as pd
 
 from benchmarks.bench_page import BOUND, is_bound
 from roadsight.base.texts import read_yaml
-from roadsight.evidence.truth.catalogue import AREAS, MEAN, holds
-from roadsight.report.evidence.tradeoffs_page import plain_table
-from roadsight.report.evidence.truth_page import words
+from roadsight.evidence.truth_catalogue import AREAS, MEAN, holds
+from roadsight.report.tradeoffs_page import plain_table
+from roadsight.report.truth_page import words
 from scripts.pages.markdown import code, escaped, table
 
 _NONE = "–"  # noqa: RUF001

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from roadsight.evidence.truth.catalogue import AREAS, Figure, truth_rows
-from roadsight.report.evidence import audit_page, hardcases_page, truth_page
+from roadsight.evidence.truth_catalogue import AREAS, Figure, truth_rows
+from roadsight.report import audit_page, hardcases_page, truth_page
 from roadsight.report.files import read_assets
 from roadsight.stages.evidence import write_poles_page, write_report, write_site_page
 from roadsight_hardcases.case import CaseResult

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases, share_of_bound
 from roadsight.report.files import read_assets
+from roadsight.report.hardcases_page import ASSETS, render_hardcases, share_of_bound
 from roadsight.stages.evidence.run_hardcases import case_table, main
 from roadsight_hardcases.case import CaseResult, hard_case, measure
 from roadsight_hardcases.catalogue import all_cases

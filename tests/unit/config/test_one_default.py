@@ -21,7 +21,7 @@ OTHER = {
     "base/shards.py": ("shards", "the whole, where nothing is shared out"),
     "evidence/costs.py": ("images shards rounds", "amounts of a mile"),
     "roadsight_hardcases": ("radius_m points", "what a hard case is made of"),
-    "evidence/truth": ("farthest_m", "points of a frame of real data"),
+    "evidence/labelled_clouds.py": ("farthest_m", "points of a frame of real data"),
     "poles/alignment/landmarks.py": ("axis_px nearest_m farthest_m", "errors and reach of poles"),
     "poles/alignment/pose.py": ("height_m", "spread of a mount"),
     "poles/alignment/solve.py": ("height_m pixels", "error of a height; of the coarse search"),

@@ -9,8 +9,8 @@ import pytest
 
 from roadsight.config.load import load_config, load_sites
 from roadsight.evidence import paper, published
-from roadsight.report.evidence.paper_page import ASSETS, render_paper
 from roadsight.report.files import read_assets
+from roadsight.report.paper_page import ASSETS, render_paper
 
 
 def placement_run(plans: tuple[str, ...], sensors: int) -> dict:

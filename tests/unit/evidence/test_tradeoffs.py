@@ -38,7 +38,8 @@ from roadsight.evidence.tradeoffs import (
     study_rows,
 )
 from roadsight.evidence.variants import JobRecord
-from roadsight.report.evidence.tradeoffs_page import (
+from roadsight.report.files import read_assets
+from roadsight.report.tradeoffs_page import (
     STYLES,
     TEMPLATE,
     measure_views,
@@ -46,7 +47,6 @@ from roadsight.report.evidence.tradeoffs_page import (
     render_page,
     stage_rows,
 )
-from roadsight.report.files import read_assets
 
 STUDY = {
     "job": "placement",

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.evidence.truth.catalogue import (
+from roadsight.evidence.labelled_clouds import f1
+from roadsight.evidence.truth_catalogue import (
     AREAS,
     COLUMNS,
     MEAN,
@@ -18,9 +19,8 @@ from roadsight.evidence.truth.catalogue import (
     holds,
     truth_rows,
 )
-from roadsight.evidence.truth.labelled import f1
-from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
+from roadsight.report.truth_page import ASSETS, render_truth
 from roadsight.stages.truth.truth_ground import kappa, smrf
 
 AREA = Area(

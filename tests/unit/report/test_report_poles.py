@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.io.raster.top_rasters import TopRaster
-from roadsight.report.poles.poles_layers import (
+from roadsight.report.poles_layers import (
     ACCEPTED,
     LEVELS,
     REJECTED,
@@ -23,8 +23,8 @@ from roadsight.report.poles.poles_layers import (
     names_in,
     sighting_layer,
 )
-from roadsight.report.poles.poles_page import choose_images, overlay, picture, plain, pole_cautions
-from roadsight.report.poles.poles_view import _hazard as hazard_view
+from roadsight.report.poles_page import choose_images, overlay, picture, plain, pole_cautions
+from roadsight.report.poles_view import _hazard as hazard_view
 
 KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
 

@@ -2,7 +2,7 @@
 
 ``snakemake paper`` runs generated sites twice, with `config/published.yaml` and with the default
 settings, and a few steps more often. This module says which runs there are and makes the rows of
-``paper.csv`` from what they measured; `roadsight.report.evidence.paper_page` draws them.
+``paper.csv`` from what they measured; `roadsight.report.paper_page` draws them.
 """
 
 from __future__ import annotations

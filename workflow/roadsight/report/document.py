@@ -20,8 +20,8 @@ from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES, template_environment
 from roadsight.report.packing import unpack
 from roadsight.report.parameters import effect_rows, figure_rows, settings_asked_for
-from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
-from roadsight.report.poles.poles_view import poles_cards, poles_view
+from roadsight.report.poles_page import FORMAT as POLES_FORMAT
+from roadsight.report.poles_view import poles_cards, poles_view
 from roadsight.report.printed_map import plan_sketch
 from roadsight.report.site.page import FORMAT
 from roadsight.report.site.plan_view import best_plan, plan_views

@@ -18,7 +18,7 @@ from roadsight.report import wording
 from roadsight.report.document import cards_of, cautions_of, is_priced
 from roadsight.report.handover.styles import SEEN
 from roadsight.report.parameters import effect_rows, settings_asked_for
-from roadsight.report.poles.poles_view import poles_view
+from roadsight.report.poles_view import poles_view
 from roadsight.report.printed_map import (
     cloud_colours,
     legend,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.report.handover.styles import SEEN
 from roadsight.report.packing import unpack, unpack_points
-from roadsight.report.poles.poles_layers import LEVELS
+from roadsight.report.poles_layers import LEVELS
 from roadsight.report.site.layers import UNKNOWN_HEIGHT
 
 SENSOR = "#b45309"

@@ -12,7 +12,7 @@ from roadsight import __version__
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import stack_xyz
 from roadsight.io.records.atomic import read_json
-from roadsight.report.evidence.tradeoffs_page import measure_views
+from roadsight.report.tradeoffs_page import measure_views
 from roadsight.studio.cloud_tiles import REACH_M, Clouds, snap_to_cloud
 from roadsight.studio.drawing import (
     Drawing,

@@ -17,7 +17,7 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.tables import read_table
 from roadsight.io.records.text_tables import COLUMNS, read_decisions, write_decisions
 from roadsight.poles.triangulate.site import nearest_poles
-from roadsight.report.poles.poles_layers import finite, match_sightings
+from roadsight.report.poles_layers import finite, match_sightings
 from roadsight.studio.drawing import Metre
 from roadsight.studio.drive_views import images_of, picture_type
 from roadsight.studio.project import Project, SiteFolder

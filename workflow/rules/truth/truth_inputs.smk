@@ -1,6 +1,6 @@
 """Helpers of the rules that measure on real data: which files each data set has."""
 
-from roadsight.evidence.truth.catalogue import AREAS
+from roadsight.evidence.truth_catalogue import AREAS
 
 DATA = os.environ.get("ROADSIGHT_DATA", "")
 

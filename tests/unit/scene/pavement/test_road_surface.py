@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from roadsight.base.errors import InputError
-from roadsight.evidence.truth.labelled import ROAD, UNLABELLED, ground_points, read_street
+from roadsight.evidence.labelled_clouds import ROAD, UNLABELLED, ground_points, read_street
 from roadsight.scene.pavement.ground_raster import cell_means, grow, local_planes, window_planes
 from roadsight.scene.pavement.road_surface import (
     KnownRoad,

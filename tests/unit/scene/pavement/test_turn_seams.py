@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roadsight.evidence.truth.labelled import ground_points, read_street
+from roadsight.evidence.labelled_clouds import ground_points, read_street
 from roadsight.scene.pavement.road_surface import RoadSettings, find_road, road_points
 from roadsight.scene.pavement.scan_levels import close_turns, scanner_positions
 from roadsight.scene.whole import near_ground

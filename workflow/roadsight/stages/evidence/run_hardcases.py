@@ -14,8 +14,8 @@ from roadsight import __version__
 from roadsight.base.sections.run import Run
 from roadsight.io.records.atomic import write_text
 from roadsight.io.records.text_tables import write_csv
-from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
 from roadsight.report.files import read_assets
+from roadsight.report.hardcases_page import ASSETS, render_hardcases
 from roadsight.stages.command import Command, logged
 from roadsight_hardcases.case import CaseResult, measure
 from roadsight_hardcases.catalogue import all_cases

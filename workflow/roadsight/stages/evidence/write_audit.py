@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight import __version__
 from roadsight.evidence.effects_audit import COLUMNS, never_mattering
 from roadsight.io.records.atomic import read_json, write_text
-from roadsight.report.evidence.audit_page import STYLES, TEMPLATE, plain_table, render_page
+from roadsight.report.audit_page import STYLES, TEMPLATE, plain_table, render_page
 from roadsight.report.files import read_assets
 from roadsight.stages.command import Command
 

@@ -12,8 +12,8 @@ import pandas as pd
 from roadsight import __version__
 from roadsight.evidence import paper
 from roadsight.io.records.atomic import read_json, write_text
-from roadsight.report.evidence.paper_page import ASSETS, render_paper
 from roadsight.report.files import read_assets
+from roadsight.report.paper_page import ASSETS, render_paper
 from roadsight.stages.command import Command
 
 

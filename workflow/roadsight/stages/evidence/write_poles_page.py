@@ -30,8 +30,8 @@ from roadsight.poles.images.kinds import KINDS, PixelClass
 from roadsight.poles.images.pictures import best_views, cut_out, projected_box, unrecognisable
 from roadsight.poles.images.views import View, source_places, straightened, view_name, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
-from roadsight.report.poles.poles_layers import match_sightings
-from roadsight.report.poles.poles_page import (
+from roadsight.report.poles_layers import match_sightings
+from roadsight.report.poles_page import (
     MOST_PICTURES,
     Picture,
     PolesResult,

@@ -15,14 +15,8 @@ from roadsight.evidence.costs import with_base_costs
 from roadsight.evidence.studies import Tradeoffs, load_tradeoffs
 from roadsight.evidence.tradeoffs import COLUMNS, Cost, precision_rows, study_rows
 from roadsight.io.records.atomic import read_json, write_text
-from roadsight.report.evidence.tradeoffs_page import (
-    STYLES,
-    TEMPLATE,
-    plain_table,
-    render_page,
-    stage_rows,
-)
 from roadsight.report.files import read_assets
+from roadsight.report.tradeoffs_page import STYLES, TEMPLATE, plain_table, render_page, stage_rows
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_tradeoffs")

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import EdgeTracing, Reach
-from roadsight.evidence.truth.catalogue import Figure
-from roadsight.evidence.truth.labelled import Street, read_street
+from roadsight.evidence.labelled_clouds import Street, read_street
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.geometry.cameras import attitude_deg, wrap_deg
 from roadsight.io.images.image_shards import LabelImages
 from roadsight.io.images.videologs import ImageSource

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.base.arrays import Floats
-from roadsight.evidence.truth.catalogue import Figure
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.io.records.matrices import read_element_list, read_set_list
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.stages.truth.truth_stage import measuring

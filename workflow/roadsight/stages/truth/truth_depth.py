@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Floats32
-from roadsight.evidence.truth.catalogue import Figure
-from roadsight.evidence.truth.labelled import NEAREST_M, Street, first_per_cell, read_street
+from roadsight.evidence.labelled_clouds import NEAREST_M, Street, first_per_cell, read_street
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.stages.truth.truth_stage import measuring

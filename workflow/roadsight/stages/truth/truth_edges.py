@@ -12,8 +12,8 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.base.sections.scene import Edges
-from roadsight.evidence.truth.catalogue import Figure
-from roadsight.evidence.truth.labelled import REACH_M, Survey, read_survey
+from roadsight.evidence.labelled_clouds import REACH_M, Survey, read_survey
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.scene.splines import outline_edges, spline_line
 from roadsight.scene.whole import ground_of, published_road, settled_road
 from roadsight.stages.truth.truth_stage import measuring

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.evidence.truth.catalogue import ISPRS, Figure
-from roadsight.evidence.truth.labelled import GROUND, UNLABELLED, f1, ground_points, read_street
+from roadsight.evidence.labelled_clouds import GROUND, UNLABELLED, f1, ground_points, read_street
+from roadsight.evidence.truth_catalogue import ISPRS, Figure
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.scene.grids import Grid, fill_gaps, lowest_per_cell, sample_bilinear
 from roadsight.scene.whole import ground_of

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.evidence.truth.catalogue import Figure
-from roadsight.evidence.truth.labelled import (
+from roadsight.evidence.labelled_clouds import (
     ROAD,
     UNLABELLED,
     Survey,
@@ -19,6 +18,7 @@ from roadsight.evidence.truth.labelled import (
     read_street,
     read_survey,
 )
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.scene.whole import ground_of, published_road, road_of, settled_road
 from roadsight.stages.truth.truth_stage import measuring
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from roadsight.evidence.truth.catalogue import Figure
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.io.records.text_tables import read_sightings
 from roadsight.poles.risk.validation import score_thresholds
 from roadsight.poles.triangulate.geographic import (

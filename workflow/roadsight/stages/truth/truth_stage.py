@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-from roadsight.evidence.truth.catalogue import Figure
+from roadsight.evidence.truth_catalogue import Figure
 from roadsight.io.records.atomic import write_json
 from roadsight.stages.command import Command
 

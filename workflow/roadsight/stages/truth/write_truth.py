@@ -11,10 +11,10 @@ from typing import Annotated
 import pandas as pd
 
 from roadsight import __version__
-from roadsight.evidence.truth.catalogue import AREAS, Figure, truth_rows
+from roadsight.evidence.truth_catalogue import AREAS, Figure, truth_rows
 from roadsight.io.records.atomic import atomic_path, read_json, write_text
-from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
+from roadsight.report.truth_page import ASSETS, render_truth
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_truth")

@@ -11,7 +11,7 @@ import numpy as np
 from roadsight.evidence import published
 from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
 from roadsight.report.charts import SAME_M, Chart, profile_chart, span_of, zone_text
-from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
+from roadsight.report.poles_layers import ACCEPTED, REJECTED
 from roadsight.report.wording import MISSING, counted, label, metres, number, quantity
 
 _FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".csv": "CSV", ".parquet": "Parquet"}

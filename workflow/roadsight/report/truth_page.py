@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from roadsight.evidence.truth.catalogue import AREAS, MEAN, Area, holds
+from roadsight.evidence.truth_catalogue import AREAS, MEAN, Area, holds
 from roadsight.report.files import filled_page
 from roadsight.report.wording import MISSING, number, short
 

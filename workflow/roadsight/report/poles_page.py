@@ -22,7 +22,7 @@ from roadsight.poles.sightings.metric_depth import balancing_weights, fit_metric
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.report.charts import hazard_profiles
 from roadsight.report.packing import pack
-from roadsight.report.poles.poles_layers import (
+from roadsight.report.poles_layers import (
     ACCEPTED,
     REJECTED,
     UNUSED,

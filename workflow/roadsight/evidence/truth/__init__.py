@@ -1,1 +1,0 @@
-"""The product on real data beside a peer: what `snakemake truth` measures."""

@@ -1,1 +1,0 @@
-"""What the report shows of poles at a site."""
