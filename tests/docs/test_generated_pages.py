@@ -1,7 +1,5 @@
 """Pages that are generated: complete, and honest about what was not measured."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """A headless Chromium, driven over a pipe with its own debugging protocol: no further package."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """One browser a module, without anything remembered from another."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

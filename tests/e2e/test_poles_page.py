@@ -1,7 +1,5 @@
 """The poles' part of the report in a real browser."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The report in a real browser: it works from disk, offline, without a complaint."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

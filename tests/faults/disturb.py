@@ -1,7 +1,5 @@
 """Runs of the workflow that are struck by a fault at some moment, and what they did until then."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -4,8 +4,6 @@ The disk is full for a process when its file may not grow beyond a limit (RLIMIT
 in the middle, as they do on a full disk, with EFBIG instead of ENOSPC.
 """
 
-from __future__ import annotations
-
 import resource
 from contextlib import contextmanager
 from unittest.mock import patch

@@ -1,7 +1,5 @@
 """TERM ends a run at whatever moment it comes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

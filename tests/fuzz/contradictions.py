@@ -1,7 +1,5 @@
 """Valid files with one contradiction each, beside the clean file that they are compared with."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

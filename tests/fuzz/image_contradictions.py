@@ -1,7 +1,5 @@
 """Valid images whose storage or size contradicts what they show, beside the clean image."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Valid vector layers with one contradiction each, beside the lines that they stand for."""
 
-from __future__ import annotations
-
 import json
 import logging
 import warnings

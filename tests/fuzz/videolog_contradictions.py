@@ -1,7 +1,5 @@
 """Tables of one drive as spreadsheets and recording computers write them, beside the clean one."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small LAS and LAZ files for the tests of ingest."""
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small site's poles job as the workflow leaves it on disk: a curved road and its poles."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

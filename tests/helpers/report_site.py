@@ -1,7 +1,5 @@
 """A small site as the workflow leaves it on disk: a curved road, sensors on both sides of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

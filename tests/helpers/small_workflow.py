@@ -1,7 +1,5 @@
 """A project whose workflow takes a second: four steps and one that joins them."""
 
-from __future__ import annotations
-
 import shutil
 
 from tests.conftest import PROJECT

@@ -1,7 +1,5 @@
 """Every option of every verb takes part in a real call that succeeds."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

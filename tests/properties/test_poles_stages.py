@@ -1,7 +1,5 @@
 """Stages of the pole job: moving, turning, mirroring and shuffling a drive changes no pole."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from hypothesis import HealthCheck, given, settings

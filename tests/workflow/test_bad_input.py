@@ -4,8 +4,6 @@ What the covering alone can refuse (targets that nothing sees, a time limit) is 
 stage, in tests/unit/test_solve_cover_stage.py.
 """
 
-from __future__ import annotations
-
 import json
 import re
 

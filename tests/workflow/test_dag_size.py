@@ -1,7 +1,5 @@
 """What a list of jobs costs grows with the jobs alone: counted in steps, whatever else runs."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

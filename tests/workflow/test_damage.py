@@ -3,8 +3,6 @@
 A changed input is noticed too, whether it changes between two runs or during one.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """File names and texts of a user reach programs as they are, and never a shell."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

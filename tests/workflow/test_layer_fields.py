@@ -1,7 +1,5 @@
 """Every field of every layer for people, read back against geometry and what it was made from."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The pole job as a workflow: what it leaves behind, and what makes which rules stale."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

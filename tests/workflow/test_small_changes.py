@@ -1,7 +1,5 @@
 """Change this -> so many steps, and so many depth maps: a small change is a small run."""
 
-from __future__ import annotations
-
 import re
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """Change this -> exactly these rules are stale, and no others."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """What is drawn and saved in the studio makes exactly what depends on it stale."""
 
-from __future__ import annotations
-
 import re
 
 from roadsight.studio.drawing import Drawing, load_drawing, save_drawing

@@ -1,7 +1,5 @@
 """A variant runs what its change touches, shares the rest and leaves its base alone."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

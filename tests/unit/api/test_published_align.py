@@ -1,7 +1,5 @@
 """`roadsight align --method published` on a small drive, and what it refuses before any work."""
 
-from __future__ import annotations
-
 import cv2
 import laspy
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from roadsight.base.errors import InputError, nearest
 
 

@@ -1,7 +1,5 @@
 """The verbs of ``roadsight`` on a small generated cloud, its truth and bad input."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """``roadsight init``: what the starter file says for clouds of different quality."""
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

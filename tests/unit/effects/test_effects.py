@@ -1,7 +1,5 @@
 """Which effects are called for: catalogue, quantities with known values, decisions."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """Decisions on effects by the targets that a site has, and settings that metrics refuse."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

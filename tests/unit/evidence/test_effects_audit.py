@@ -1,7 +1,5 @@
 """Audit of decisions: change of the answer, verdicts, the stage, table and page."""
 
-from __future__ import annotations
-
 import shutil
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows and page of both studies from what runs measured."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

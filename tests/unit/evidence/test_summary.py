@@ -1,7 +1,5 @@
 """The summary of a site from artifacts written by hand."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 

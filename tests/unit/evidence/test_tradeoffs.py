@@ -1,7 +1,5 @@
 """Studies, frontiers, costs and the page of what accuracy costs."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from functools import partial

@@ -1,7 +1,5 @@
 """CRS, units, references and the tests that refuse impossible ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer

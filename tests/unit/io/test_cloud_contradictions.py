@@ -1,7 +1,5 @@
 """Headers and records of clouds that contradict each other, are split or are incomplete."""
 
-from __future__ import annotations
-
 import struct
 
 import laspy

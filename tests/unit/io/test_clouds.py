@@ -1,7 +1,5 @@
 """LAS and LAZ in and out, and what damaged files lead to."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 

@@ -1,7 +1,5 @@
 """Orientation of any format, numbers of few bits, and time of capture."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """GeoTIFF out and in."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

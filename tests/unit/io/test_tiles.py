@@ -1,7 +1,5 @@
 """The tiled cloud: writer and reader against plain selections of the same points."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

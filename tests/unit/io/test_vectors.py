@@ -1,7 +1,5 @@
 """Vector layers out and in, and users' files of every kind and CRS."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """The page of the benchmarks."""
 
-from __future__ import annotations
-
 import pytest
 
 from roadsight.report.evidence.bench_page import ASSETS, BOUND, ratio_chart, render_bench

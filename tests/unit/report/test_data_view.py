@@ -1,7 +1,5 @@
 """What the report says of probabilities and of points by height."""
 
-from __future__ import annotations
-
 from roadsight.report.site.plan_view import data_view
 
 SENSOR = {

@@ -1,7 +1,5 @@
 """Hand-over to GIS, CAD and crews: every field agrees with the geometry beside it."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import subprocess

@@ -1,7 +1,5 @@
 """Pictures below the map, and the coordinates of its places."""
 
-from __future__ import annotations
-
 import base64
 
 import cv2

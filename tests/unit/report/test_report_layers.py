@@ -1,7 +1,5 @@
 """Packing, thinning, shading and the layers of the report's map and 3D view."""
 
-from __future__ import annotations
-
 import base64
 
 import geopandas as gpd

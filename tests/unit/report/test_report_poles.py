@@ -1,7 +1,5 @@
 """What the page of the poles holds, from tables made by hand."""
 
-from __future__ import annotations
-
 import base64
 
 import cv2

@@ -1,7 +1,5 @@
 """What the report says of sensors, gaps and proofs."""
 
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -1,7 +1,5 @@
 """Numbers, names and parameters as people read them."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

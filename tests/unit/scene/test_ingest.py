@@ -1,7 +1,5 @@
 """Ingest end to end: from LAS files to the tiled cloud and its frame."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

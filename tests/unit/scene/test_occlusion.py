@@ -1,7 +1,5 @@
 """Triangulated terrain and what it hides, against Moeller-Trumbore over all triangles."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points that take no part, and points that are there twice."""
 
-from __future__ import annotations
-
 import shutil
 
 import laspy

@@ -1,7 +1,5 @@
 """Scene profile: counted scenes with a known answer, and slow references."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

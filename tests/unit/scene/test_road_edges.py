@@ -1,7 +1,5 @@
 """Road edges of rasterised roads whose edges are known."""
 
-from __future__ import annotations
-
 from unittest import mock
 
 import cv2

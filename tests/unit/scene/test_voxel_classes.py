@@ -1,7 +1,5 @@
 """Voxel classes against a dictionary of counters, and the stage against any tiling and order."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from unittest import mock
 

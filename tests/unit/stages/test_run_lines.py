@@ -1,7 +1,5 @@
 """What a run says: one line a step, true progress, time left."""
 
-from __future__ import annotations
-
 from logging import ERROR, INFO, WARNING, LogRecord
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What a what-if may choose and what it costs: as the solver has it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """Drawings become the files that the workflow reads, byte for byte the same each time."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

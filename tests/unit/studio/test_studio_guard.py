@@ -1,7 +1,5 @@
 """Only the studio's own pages may talk to it, and it writes only inside the project."""
 
-from __future__ import annotations
-
 import pytest
 
 from roadsight.base.errors import InputError

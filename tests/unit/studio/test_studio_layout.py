@@ -1,7 +1,5 @@
 """What-if: coverage of sensors that stand elsewhere, against counting pair by pair."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A cloud of this machine becomes a site; what is not sure is told first."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """Plans saved from the studio: the workflow reads them as they were meant; files to take away."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Decisions on poles in the studio's files, and in what the workflow makes of them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

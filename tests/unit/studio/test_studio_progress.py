@@ -1,7 +1,5 @@
 """Progress, time left and reasons from the events of the logger plugin."""
 
-from __future__ import annotations
-
 import json
 from logging import ERROR, INFO, WARNING, LogRecord
 from typing import get_args

@@ -1,7 +1,5 @@
 """The list of sites: own ones first, and why a page cannot work on a site."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

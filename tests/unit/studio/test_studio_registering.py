@@ -1,7 +1,5 @@
 """Registration on the server: what is before a camera, errors, baselines by hand."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path

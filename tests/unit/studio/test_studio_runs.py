@@ -1,7 +1,5 @@
 """The studio plans, starts, watches and stops a real Snakemake, one run at a time."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

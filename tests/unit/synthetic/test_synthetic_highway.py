@@ -1,7 +1,5 @@
 """The sample site against the numbers that describe it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

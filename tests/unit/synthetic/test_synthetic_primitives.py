@@ -1,7 +1,5 @@
 """Closed-form intersections against dense sampling of implicit functions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Road coordinates and the exact ground."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Existing poles carry sensors on arms; zones keep sensors out."""
 
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -1,7 +1,5 @@
 """Sensors of all kinds against a literal trace of every beam, pixel and point."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

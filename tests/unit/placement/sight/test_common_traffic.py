@@ -1,7 +1,5 @@
 """Sensors past the same vehicles: closed forms against drawn traffic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

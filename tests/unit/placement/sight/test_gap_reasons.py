@@ -1,7 +1,5 @@
 """Reasons of uncovered targets under weather, dark targets and traffic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

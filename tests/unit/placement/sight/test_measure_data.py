@@ -1,7 +1,5 @@
 """Hand-over and data through the stage, on a road written by hand."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """Detection under effects: tilted mounts, wide beams, curved beams, against slow references."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Points by height of chosen sensors in poses, from the panoramas that judged them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

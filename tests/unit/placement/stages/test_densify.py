@@ -1,7 +1,5 @@
 """Rounds of denser candidates: where they stand, and where their spacings stop."""
 
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

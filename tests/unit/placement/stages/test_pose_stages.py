@@ -1,7 +1,5 @@
 """Poses through the stages: detections, the choice of one pose a position, and scans."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

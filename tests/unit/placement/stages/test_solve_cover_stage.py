@@ -1,7 +1,5 @@
 """From coverage to solution: the stages on small tables written by hand."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """Poses of single photographs with a known lens in a generated street with known cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

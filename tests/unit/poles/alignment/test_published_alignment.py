@@ -1,7 +1,5 @@
 """The pole study's alignment: its cost against a slow one of its own, its axes, bounds, windows."""
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mount of a drive with a known lens in a generated street."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

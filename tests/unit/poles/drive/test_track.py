@@ -1,7 +1,5 @@
 """Headings along noisy tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Frames of videologs with all that goes wrong in them, through the stage."""
 
-from __future__ import annotations
-
 import contextlib
 import zipfile
 

@@ -1,7 +1,5 @@
 """The pole study's rules for poles in a mask, and its stitched side views."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

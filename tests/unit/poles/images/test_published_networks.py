@@ -1,7 +1,5 @@
 """Manifests of published networks: what their labels mean, and what their inputs are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 Weights are random: what is tested is the commands, the preprocessing, shapes, labels and cost.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pavement that leaves the road: side roads, driveways, car parks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Depth networks held against the ground, camera by camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The stages that read images, on a tiny videolog of one road with two poles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """The stage that finds the yaw of side views in what images share, on a rendered road."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

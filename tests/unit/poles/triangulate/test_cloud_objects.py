@@ -1,7 +1,5 @@
 """Buildings and trees of the cloud as rows beside poles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

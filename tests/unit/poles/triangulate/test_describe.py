@@ -1,7 +1,5 @@
 """Shapes of the cloud's columns go to the poles that they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """Probabilities of objects are shares of those that are real, on worlds that made none of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

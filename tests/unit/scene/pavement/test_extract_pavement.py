@@ -1,7 +1,5 @@
 """The pavement stage from a cloud on: which way it takes, and what it says."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The road as a surface that runs on until a kerb, grass or a wall ends it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely
