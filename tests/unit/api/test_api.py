@@ -1,5 +1,3 @@
-"""The Python API: examples run, arrays, clouds and paths give the same, parts work alone."""
-
 import doctest
 import importlib
 import inspect

@@ -1,5 +1,3 @@
-"""`roadsight align --method published` on a small drive, and what it refuses before any work."""
-
 import cv2
 import laspy
 import numpy as np

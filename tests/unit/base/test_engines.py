@@ -1,5 +1,3 @@
-"""Who asks for Open3D where it is missing is told what to install, before any work."""
-
 import importlib
 import importlib.util
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Steps that start together compile a kernel once."""
-
 import os
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""Parts of kernels have no wrapper for Python, so that Python must not call them."""
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Command lines of typed functions."""
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,3 @@
-"""How items are shared out among shards."""
-
 import uuid
 
 import numpy as np

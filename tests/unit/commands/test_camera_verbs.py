@@ -1,5 +1,3 @@
-"""``roadsight align`` and ``roadsight register`` on a small generated drive."""
-
 import io
 import json
 from contextlib import redirect_stdout

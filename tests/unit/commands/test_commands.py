@@ -1,5 +1,3 @@
-"""The verbs of ``roadsight`` on a small generated cloud, its truth and bad input."""
-
 import subprocess
 import sys
 

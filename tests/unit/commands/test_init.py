@@ -1,5 +1,3 @@
-"""``roadsight init``: what the starter file says for clouds of different quality."""
-
 import argparse
 
 import numpy as np

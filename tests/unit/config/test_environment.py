@@ -1,5 +1,3 @@
-"""The environment in which stages run."""
-
 import os
 import py_compile
 import subprocess

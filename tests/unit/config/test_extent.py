@@ -1,5 +1,3 @@
-"""A site may be about a part of its clouds: a box, a polygon, a distance from edges or a track."""
-
 import json
 import re
 

@@ -1,5 +1,3 @@
-"""No line of the package writes the default of a setting again."""
-
 import ast
 import inspect
 from collections.abc import Iterator

@@ -1,5 +1,3 @@
-"""A setting and its default are written once: in its section."""
-
 import argparse
 import dataclasses
 import importlib

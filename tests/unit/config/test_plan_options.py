@@ -1,5 +1,3 @@
-"""Options of plans in the plans file and in site files."""
-
 import json
 
 import pytest

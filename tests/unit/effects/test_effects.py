@@ -1,5 +1,3 @@
-"""Which effects are called for: catalogue, quantities with known values, decisions."""
-
 import json
 import shutil
 

@@ -1,5 +1,3 @@
-"""Decisions on effects by the targets that a site has, and settings that metrics refuse."""
-
 import json
 
 import numpy as np

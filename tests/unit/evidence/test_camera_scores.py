@@ -1,5 +1,3 @@
-"""Camera poses against known ones."""
-
 from pathlib import Path
 
 import numpy as np

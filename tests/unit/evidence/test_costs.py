@@ -1,5 +1,3 @@
-"""The cost model: lines recovered, sites held out, schedules bounded, estimates added up."""
-
 import json
 import re
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Audit of decisions: change of the answer, verdicts, the stage, table and page."""
-
 import shutil
 from importlib import import_module
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The generated highway as truth: what a sensor sees in it, in the frame of any results."""
-
 import numpy as np
 import pytest
 

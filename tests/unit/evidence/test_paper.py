@@ -1,5 +1,3 @@
-"""Rows and page of both studies from what runs measured."""
-
 import math
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""How far two answers of the pole job differ."""
-
 from pathlib import Path
 from typing import ClassVar
 

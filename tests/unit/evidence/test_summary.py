@@ -1,5 +1,3 @@
-"""The summary of a site from artifacts written by hand."""
-
 import hashlib
 import json
 

@@ -1,5 +1,3 @@
-"""Levels of studies whose plans place sensors of any kind."""
-
 import json
 from types import SimpleNamespace
 

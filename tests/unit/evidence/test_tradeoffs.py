@@ -1,5 +1,3 @@
-"""Studies, frontiers, costs and the page of what accuracy costs."""
-
 import itertools
 import math
 from functools import partial

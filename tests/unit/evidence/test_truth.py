@@ -1,5 +1,3 @@
-"""What real data say: the catalogue, the table, the page, the peers."""
-
 import math
 
 import numpy as np

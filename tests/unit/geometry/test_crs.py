@@ -1,5 +1,3 @@
-"""CRS, units, references and the tests that refuse impossible ones."""
-
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer

@@ -1,5 +1,3 @@
-"""Radial lenses: the inverse, the place where an image folds, units of distance."""
-
 import cv2
 import numpy as np
 import pytest

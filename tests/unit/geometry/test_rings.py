@@ -1,5 +1,3 @@
-"""Closed lines and images beside the filters of SciPy."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,5 +1,3 @@
-"""Registered cameras of a user: what is read and what is refused."""
-
 import json
 
 import pytest

@@ -1,5 +1,3 @@
-"""Headers and records of clouds that contradict each other, are split or are incomplete."""
-
 import struct
 
 import laspy

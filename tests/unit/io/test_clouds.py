@@ -1,5 +1,3 @@
-"""LAS and LAZ in and out, and what damaged files lead to."""
-
 import shutil
 import struct
 

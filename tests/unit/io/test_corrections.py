@@ -1,5 +1,3 @@
-"""Poses that a person set: only their shard hears of them."""
-
 import pandas as pd
 import pytest
 

@@ -1,5 +1,3 @@
-"""Orientation of any format, numbers of few bits, and time of capture."""
-
 import struct
 import zlib
 

@@ -1,5 +1,3 @@
-"""Known lenses from a table or a row, and what is wrong with them."""
-
 import json
 
 import pandas as pd

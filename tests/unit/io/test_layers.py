@@ -1,5 +1,3 @@
-"""Layers by name, without CRS, and heights that mean none; weights beside a network; matches."""
-
 import logging
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""Paths that a configuration or a manifest names."""
-
 from pathlib import Path
 
 import numpy as np

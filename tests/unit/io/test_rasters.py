@@ -1,5 +1,3 @@
-"""GeoTIFF out and in."""
-
 import time
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Tables as spreadsheets and vendors write them; names that YAML would misread; EXIF."""
-
 import numpy as np
 import pytest
 import yaml

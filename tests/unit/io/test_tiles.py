@@ -1,5 +1,3 @@
-"""The tiled cloud: writer and reader against plain selections of the same points."""
-
 import json
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""What a stage says that it used is what it used."""
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Vector layers out and in, and users' files of every kind and CRS."""
-
 import json
 import time
 

@@ -1,5 +1,3 @@
-"""The page of the benchmarks."""
-
 import pytest
 
 from roadsight.report.evidence.bench_page import ASSETS, BOUND, ratio_chart, render_bench

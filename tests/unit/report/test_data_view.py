@@ -1,5 +1,3 @@
-"""What the report says of probabilities and of points by height."""
-
 from roadsight.report.site.plan_view import data_view
 
 SENSOR = {

@@ -1,5 +1,3 @@
-"""Hand-over to GIS, CAD and crews: every field agrees with the geometry beside it."""
-
 import os
 import sqlite3
 import subprocess

@@ -1,5 +1,3 @@
-"""Drawings of cross-sections: which objects, to scale, and texts that do not cover each other."""
-
 import re
 
 import numpy as np

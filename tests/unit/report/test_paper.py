@@ -1,5 +1,3 @@
-"""The report on paper: true scale, all plans, and the run it is of."""
-
 import os
 import re
 from itertools import pairwise

@@ -1,5 +1,3 @@
-"""Pictures below the map, and the coordinates of its places."""
-
 import base64
 
 import cv2

@@ -1,5 +1,3 @@
-"""Plots as SVG, and what they are made of."""
-
 import re
 from itertools import pairwise
 from xml.etree import ElementTree

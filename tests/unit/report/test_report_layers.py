@@ -1,5 +1,3 @@
-"""Packing, thinning, shading and the layers of the report's map and 3D view."""
-
 import base64
 
 import geopandas as gpd

@@ -1,5 +1,3 @@
-"""What the report says of plans with options."""
-
 import pytest
 
 from roadsight.report.site.options_view import goal_proven, goal_text, is_soft, options_view

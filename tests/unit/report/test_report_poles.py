@@ -1,5 +1,3 @@
-"""What the page of the poles holds, from tables made by hand."""
-
 import base64
 
 import cv2

@@ -1,5 +1,3 @@
-"""The page of a site's poles and the report made of it, from artifacts on disk."""
-
 import base64
 import json
 import re

@@ -1,5 +1,3 @@
-"""What the report says of sensors, gaps and proofs."""
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

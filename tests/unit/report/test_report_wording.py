@@ -1,5 +1,3 @@
-"""Numbers, names and parameters as people read them."""
-
 import json
 
 import pytest

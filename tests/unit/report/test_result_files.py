@@ -1,5 +1,3 @@
-"""The files that the report lists."""
-
 import re
 
 import pytest

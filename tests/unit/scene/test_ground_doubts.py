@@ -1,5 +1,3 @@
-"""What is told about the ground, whatever the numbers."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""Ingest end to end: from LAS files to the tiled cloud and its frame."""
-
 import json
 
 import numpy as np

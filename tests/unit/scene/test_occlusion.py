@@ -1,5 +1,3 @@
-"""Triangulated terrain and what it hides, against Moeller-Trumbore over all triangles."""
-
 import time
 
 import numpy as np

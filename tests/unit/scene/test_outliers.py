@@ -1,5 +1,3 @@
-"""Points that stand alone are told from those in company."""
-
 import numpy as np
 import pytest
 

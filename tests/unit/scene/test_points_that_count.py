@@ -1,5 +1,3 @@
-"""Points that take no part, and points that are there twice."""
-
 import shutil
 
 import laspy

@@ -1,5 +1,3 @@
-"""Scene profile: counted scenes with a known answer, and slow references."""
-
 import numpy as np
 import pytest
 

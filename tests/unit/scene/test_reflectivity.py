@@ -1,5 +1,3 @@
-"""Reflectivity of surfaces from intensities."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Road edges of rasterised roads whose edges are known."""
-
 from unittest import mock
 
 import cv2

@@ -1,5 +1,3 @@
-"""Voxel classes against a dictionary of counters, and the stage against any tiling and order."""
-
 from collections import Counter, defaultdict
 from unittest import mock
 

@@ -1,5 +1,3 @@
-"""Covers against brute force, in degenerate cases and on public instances."""
-
 import itertools
 import os
 from pathlib import Path

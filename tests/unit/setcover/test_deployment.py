@@ -1,5 +1,3 @@
-"""What deployments may not claim."""
-
 import numpy as np
 from scipy import sparse
 

@@ -1,5 +1,3 @@
-"""Covers at a joint probability: every answer against trying all sets of choices."""
-
 import itertools
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Of the cheapest covers the one that sees most again, against all of them."""
-
 import time
 from itertools import combinations
 

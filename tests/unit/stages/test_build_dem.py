@@ -1,5 +1,3 @@
-"""What the stage of the terrain model tells beside its results."""
-
 import json
 
 import laspy

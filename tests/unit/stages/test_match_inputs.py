@@ -1,5 +1,3 @@
-"""Lists of a user beside a site: what matches becomes a doubt, or a refusal."""
-
 import json
 
 import cv2

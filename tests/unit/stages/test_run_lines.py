@@ -1,5 +1,3 @@
-"""What a run says: one line a step, true progress, time left."""
-
 from logging import ERROR, INFO, WARNING, LogRecord
 from types import SimpleNamespace
 

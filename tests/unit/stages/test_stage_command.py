@@ -1,5 +1,3 @@
-"""What every stage does when the machine or its inputs let it down."""
-
 import argparse
 import errno
 import os

@@ -1,5 +1,3 @@
-"""The pages' files: small modules, nothing from elsewhere, licences beside what is bundled."""
-
 import json
 import re
 

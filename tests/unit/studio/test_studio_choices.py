@@ -1,5 +1,3 @@
-"""What a what-if may choose and what it costs: as the solver has it."""
-
 import json
 import shutil
 

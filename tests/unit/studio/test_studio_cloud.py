@@ -1,5 +1,3 @@
-"""Levels of detail: no point lost, none twice, coarse levels even."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""Drawings become the files that the workflow reads, byte for byte the same each time."""
-
 import json
 import os
 import shutil

@@ -1,5 +1,3 @@
-"""Only the studio's own pages may talk to it, and it writes only inside the project."""
-
 import pytest
 
 from roadsight.base.errors import InputError

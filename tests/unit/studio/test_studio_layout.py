@@ -1,5 +1,3 @@
-"""What-if: coverage of sensors that stand elsewhere, against counting pair by pair."""
-
 import shutil
 
 import numpy as np

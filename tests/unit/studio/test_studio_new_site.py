@@ -1,5 +1,3 @@
-"""A cloud of this machine becomes a site; what is not sure is told first."""
-
 import shutil
 
 import pytest

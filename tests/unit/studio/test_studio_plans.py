@@ -1,5 +1,3 @@
-"""Plans saved from the studio: the workflow reads them as they were meant; files to take away."""
-
 import io
 import json
 import shutil

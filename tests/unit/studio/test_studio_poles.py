@@ -1,5 +1,3 @@
-"""Decisions on poles in the studio's files, and in what the workflow makes of them."""
-
 import shutil
 from pathlib import Path
 

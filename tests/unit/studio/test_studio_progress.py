@@ -1,5 +1,3 @@
-"""Progress, time left and reasons from the events of the logger plugin."""
-
 import json
 from logging import ERROR, INFO, WARNING, LogRecord
 from typing import get_args

@@ -1,5 +1,3 @@
-"""The list of sites: own ones first, and why a page cannot work on a site."""
-
 import shutil
 
 import pytest

@@ -1,5 +1,3 @@
-"""Registration on the server: what is before a camera, errors, baselines by hand."""
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The studio plans, starts, watches and stops a real Snakemake, one run at a time."""
-
 import os
 import signal
 import subprocess

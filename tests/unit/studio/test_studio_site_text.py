@@ -1,5 +1,3 @@
-"""One value of a site file changes; comments, order and everything else stay."""
-
 import pytest
 import yaml
 from hypothesis import example, given

@@ -1,5 +1,3 @@
-"""Clicks beside a kerb or a painted line land on it; on plain ground they stay."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The rural site: its line, its ground, what lies where, its posts."""
-
 import numpy as np
 import pytest
 import shapely

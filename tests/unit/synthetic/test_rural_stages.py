@@ -1,5 +1,3 @@
-"""The stages that write the rural site."""
-
 import hashlib
 import zipfile
 from functools import partial

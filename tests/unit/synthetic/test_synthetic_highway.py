@@ -1,5 +1,3 @@
-"""The sample site against the numbers that describe it."""
-
 import math
 
 import numpy as np

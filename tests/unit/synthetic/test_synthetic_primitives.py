@@ -1,5 +1,3 @@
-"""Closed-form intersections against dense sampling of implicit functions."""
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The stage that writes the sample."""
-
 import json
 
 import laspy

@@ -1,5 +1,3 @@
-"""The mobile scanner: geometry, statistics of the noise, repeatability."""
-
 from dataclasses import replace
 
 import numpy as np

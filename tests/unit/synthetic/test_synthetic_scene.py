@@ -1,5 +1,3 @@
-"""Casting through the grid against casting at everything, and against dense sampling."""
-
 import math
 
 import numpy as np

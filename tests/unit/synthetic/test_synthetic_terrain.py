@@ -1,5 +1,3 @@
-"""Road coordinates and the exact ground."""
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Existing poles carry sensors on arms; zones keep sensors out."""
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -1,5 +1,3 @@
-"""Points that must carry a sensor find the choice that they mean."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Depth maps refined by a network: the way to it and back, degenerate cases, the shipped ones."""
-
 import json
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""Hand-over and data: figures counted by hand."""
-
 import numpy as np
 import pytest
 from shapely import LineString

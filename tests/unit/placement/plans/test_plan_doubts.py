@@ -1,5 +1,3 @@
-"""What is told of targets and plans whose answers rest on little."""
-
 import pytest
 
 from roadsight.placement.plans.plan_doubts import SAID, plan_doubts, target_doubts

@@ -1,5 +1,3 @@
-"""Sensors of all kinds against a literal trace of every beam, pixel and point."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

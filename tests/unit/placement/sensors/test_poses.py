@@ -1,5 +1,3 @@
-"""Poses: one convention, names, and exact dominance."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

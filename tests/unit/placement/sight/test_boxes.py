@@ -1,5 +1,3 @@
-"""Beams on boxes: against every beam of the sensor, one by one, by the slab method."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Sensors past the same vehicles: closed forms against drawn traffic."""
-
 import numpy as np
 import pytest
 from scipy import sparse

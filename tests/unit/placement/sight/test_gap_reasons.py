@@ -1,5 +1,3 @@
-"""Reasons of uncovered targets under weather, dark targets and traffic."""
-
 import numpy as np
 import pandas as pd
 

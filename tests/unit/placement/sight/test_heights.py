@@ -1,5 +1,3 @@
-"""Beams by the height at which they enter targets: against every beam, one by one."""
-
 import numpy as np
 import pytest
 

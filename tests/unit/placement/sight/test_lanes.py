@@ -1,5 +1,3 @@
-"""Lanes on generated roads, and lines of sight across them against the closed form."""
-
 import numpy as np
 import pandas as pd
 import pytest

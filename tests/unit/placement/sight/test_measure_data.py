@@ -1,5 +1,3 @@
-"""Hand-over and data through the stage, on a road written by hand."""
-
 import json
 
 import geopandas as gpd

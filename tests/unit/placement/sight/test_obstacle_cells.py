@@ -1,5 +1,3 @@
-"""Obstacles by angular cells against Appendix B of the paper, written out point by point."""
-
 import json
 from itertools import pairwise
 

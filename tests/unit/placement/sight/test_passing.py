@@ -1,5 +1,3 @@
-"""Vehicles in a line of sight: the closed form against drawn traffic."""
-
 import numpy as np
 import pytest
 

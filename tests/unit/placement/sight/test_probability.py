@@ -1,5 +1,3 @@
-"""Probability to be found by points: the curve, its inverse, and what a plan says of it."""
-
 import numpy as np
 import pytest
 from hypothesis import given

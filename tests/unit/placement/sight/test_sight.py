@@ -1,5 +1,3 @@
-"""Detection under effects: tilted mounts, wide beams, curved beams, against slow references."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""Beams that were not cast change nothing that detection counts."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Points by height of chosen sensors in poses, from the panoramas that judged them."""
-
 from pathlib import Path
 
 import numpy as np

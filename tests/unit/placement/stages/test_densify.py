@@ -1,5 +1,3 @@
-"""Rounds of denser candidates: where they stand, and where their spacings stop."""
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -1,5 +1,3 @@
-"""Plans at a level of availability through the stage, on small tables written by hand."""
-
 import numpy as np
 import pytest
 

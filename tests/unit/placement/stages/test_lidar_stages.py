@@ -1,5 +1,3 @@
-"""The stages from cloud to detections on one small scene, through their command lines."""
-
 import json
 
 import geopandas as gpd

@@ -1,5 +1,3 @@
-"""Plans with options through the stage, on small tables written by hand."""
-
 import dataclasses
 import json
 

@@ -1,5 +1,3 @@
-"""Poses through the stages: detections, the choice of one pose a position, and scans."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""From coverage to solution: the stages on small tables written by hand."""
-
 import json
 
 import geopandas as gpd

@@ -1,5 +1,3 @@
-"""Alignment of one image: derivatives, a slow reference, the frame, and what must be refused."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Poses of single photographs with a known lens in a generated street with known cameras."""
-
 from dataclasses import replace
 
 import numpy as np

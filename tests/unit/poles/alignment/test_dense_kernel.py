@@ -1,5 +1,3 @@
-"""Compiled score of projected samples against slow references."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""Errors of a receiver, found from the images that measure them."""
-
 import numpy as np
 import pytest
 

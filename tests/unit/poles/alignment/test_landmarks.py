@@ -1,5 +1,3 @@
-"""Landmarks: bearings and their derivatives, association, and what they do for a pose."""
-
 from dataclasses import replace
 
 import numpy as np

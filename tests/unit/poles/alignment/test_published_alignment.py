@@ -1,5 +1,3 @@
-"""The pole study's alignment: its cost against a slow one of its own, its axes, bounds, windows."""
-
 from math import inf
 
 import numpy as np

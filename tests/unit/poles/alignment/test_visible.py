@@ -1,5 +1,3 @@
-"""What a camera sees of a cloud, against slow references and where there is nothing to see."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

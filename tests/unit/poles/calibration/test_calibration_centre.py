@@ -1,5 +1,3 @@
-"""The principal point of a drive: what it moves, and how sure it is."""
-
 from dataclasses import replace
 from types import SimpleNamespace
 

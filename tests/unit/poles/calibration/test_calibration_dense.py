@@ -1,5 +1,3 @@
-"""Mount of a drive with a known lens in a generated street."""
-
 import numpy as np
 import pytest
 

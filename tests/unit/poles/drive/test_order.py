@@ -1,5 +1,3 @@
-"""Order and direction of a drive."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Headings along noisy tracks."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

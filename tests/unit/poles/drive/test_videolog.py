@@ -1,5 +1,3 @@
-"""Frames of videologs with all that goes wrong in them, through the stage."""
-
 import contextlib
 import zipfile
 

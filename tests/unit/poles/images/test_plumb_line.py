@@ -1,5 +1,3 @@
-"""Lenses from lines that are straight in the world."""
-
 import cv2
 import numpy as np
 import pytest

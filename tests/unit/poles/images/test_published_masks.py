@@ -1,5 +1,3 @@
-"""The pole study's rules for poles in a mask, and its stitched side views."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Manifests of published networks: what their labels mean, and what their inputs are."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Images that repeat the one before although the vehicle moved on."""
-
 import cv2
 import numpy as np
 import pandas as pd

@@ -1,5 +1,3 @@
-"""Yaw of side views from points that the front view showed before."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Pavement that leaves the road: side roads, driveways, car parks."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Changes between surveys: pairs by place and kind, ids that stay, and the verb."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Clear zones, curve factors and runout lengths against rows of the guide that are public."""
-
 import numpy as np
 import pytest
 

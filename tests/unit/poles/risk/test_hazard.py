@@ -1,5 +1,3 @@
-"""Clear zones, side slopes, density and rating."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Road inventories: what they say, what they lack, what is refused; clear zones as ranges."""
-
 import numpy as np
 import pandas as pd
 import pytest

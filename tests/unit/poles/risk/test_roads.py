@@ -1,5 +1,3 @@
-"""Side and station on generated roads, whatever drive they are asked of."""
-
 import numpy as np
 import pandas as pd
 import pytest

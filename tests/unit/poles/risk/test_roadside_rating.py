@@ -1,5 +1,3 @@
-"""Hazard ratings, HSM inputs and exposure against the sources' own numbers."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""Validation of found poles against known ones."""
-
 import itertools
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Buildings and headwalls of classified clouds: outlines, size limits, tiles."""
-
 from dataclasses import replace
 
 import laspy

@@ -1,5 +1,3 @@
-"""Trees and guardrails of generated roads, from their airborne clouds alone."""
-
 import numpy as np
 import pytest
 import shapely

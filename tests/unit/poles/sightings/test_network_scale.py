@@ -1,5 +1,3 @@
-"""Depth networks held against the ground, camera by camera."""
-
 import numpy as np
 import pandas as pd
 import pytest

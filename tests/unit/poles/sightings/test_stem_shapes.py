@@ -1,5 +1,3 @@
-"""Lean and arms of columns, on returns drawn from stems of known shape."""
-
 import tracemalloc
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Trunks under crowns: shown, not shown, and shown not to be there."""
-
 import numpy as np
 import pytest
 

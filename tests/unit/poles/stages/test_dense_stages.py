@@ -1,5 +1,3 @@
-"""Calibration and alignment of a drive with a known lens, from files to the table of cameras."""
-
 import json
 
 import cv2

@@ -1,5 +1,3 @@
-"""Stages of the pole effects: profile of the drive, straightened views, given cameras."""
-
 import json
 import shutil
 

@@ -1,5 +1,3 @@
-"""The stages that read images, on a tiny videolog of one road with two poles."""
-
 from dataclasses import replace
 
 import cv2

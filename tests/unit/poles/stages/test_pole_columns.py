@@ -1,5 +1,3 @@
-"""Pole-like columns through the stage: what settings mean, and that tiles do not show."""
-
 import numpy as np
 import pytest
 from pyproj import CRS

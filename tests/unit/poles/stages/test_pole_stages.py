@@ -1,5 +1,3 @@
-"""Stages from sightings to poles, hazard and validation, and the verb, through command lines."""
-
 import argparse
 import json
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The stage that finds the yaw of side views in what images share, on a rendered road."""
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Buildings and trees of the cloud as rows beside poles."""
-
 import numpy as np
 import pandas as pd
 import pytest

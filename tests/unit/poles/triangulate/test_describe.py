@@ -1,5 +1,3 @@
-"""Shapes of the cloud's columns go to the poles that they are."""
-
 import numpy as np
 import pandas as pd
 

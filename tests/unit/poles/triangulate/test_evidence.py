@@ -1,5 +1,3 @@
-"""Poles by evidence: kernels against slow references, invariance, calibration, linear work."""
-
 import itertools
 from dataclasses import replace
 

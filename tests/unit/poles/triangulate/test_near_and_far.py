@@ -1,5 +1,3 @@
-"""Panels of near rays, and of far ones."""
-
 import numpy as np
 
 from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays

@@ -1,5 +1,3 @@
-"""Decisions of a person on poles: read, found again, and applied."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""Doubts about located poles."""
-
 import numpy as np
 import pandas as pd
 import pytest

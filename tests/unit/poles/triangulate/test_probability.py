@@ -1,5 +1,3 @@
-"""Probabilities of objects are shares of those that are real, on worlds that made none of them."""
-
 from dataclasses import replace
 
 import numpy as np

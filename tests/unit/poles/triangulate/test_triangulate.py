@@ -1,5 +1,3 @@
-"""Triangulation: geometry, invariance, degenerate input, and the published sample."""
-
 import itertools
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Scans that differ by more than their noise: what is said, and what is not."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The pavement stage from a cloud on: which way it takes, and what it says."""
-
 import json
 from pathlib import Path
 

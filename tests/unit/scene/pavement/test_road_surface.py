@@ -1,5 +1,3 @@
-"""The road as a surface that runs on until a kerb, grass or a wall ends it."""
-
 import numpy as np
 import pytest
 import shapely
