@@ -22,7 +22,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.drive.videolog import split_drives
 from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.poles import read_videolog
-from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
+from tests.helpers.tagged_images import gps_jpeg, jpeg
 
 UNIT = 1200 / 3937
 """US survey feet, as in EPSG:6543, North Carolina."""
