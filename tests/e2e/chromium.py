@@ -13,14 +13,9 @@ BINARY = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 _FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--enable-unsafe-swiftshader",
-    "--use-angle=swiftshader",
-    "--disable-background-networking",
-    "--no-first-run",
-    "--remote-debugging-pipe",
-)
+    "--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader",
+    "--disable-background-networking", "--no-first-run", "--remote-debugging-pipe",
+)  # fmt: skip
 
 _GONE = "Inspected target navigated or closed"
 

@@ -82,13 +82,8 @@ def memory_full(controller, running, rng):
 
 
 FAULTS: tuple[Fault, ...] = (
-    power_cut,
-    controller_killed,
-    terminated,
-    stage_killed,
-    disk_full,
-    memory_full,
-)
+    power_cut, controller_killed, terminated, stage_killed, disk_full, memory_full,
+)  # fmt: skip
 
 
 @dataclass

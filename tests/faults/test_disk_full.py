@@ -129,22 +129,11 @@ def json_file(path):
 
 
 WRITERS = {
-    "table.parquet": table,
-    "depth.parquet": depth_maps,
-    "cloud.parquet": tiles,
-    "waiting.parquet": waiting_tiles,
-    "voxels.parquet": voxels,
-    "dem.tif": raster,
-    "top.tif": top,
-    "layers.gpkg": layers,
-    "poles.geojson": geojson,
-    "scans.laz": laz,
-    "terrain.npz": terrain,
-    "masks.zip": images,
-    "images.zip": jpegs,
-    "poles.csv": csv,
-    "page.json": json_file,
-}
+    "table.parquet": table, "depth.parquet": depth_maps, "cloud.parquet": tiles,
+    "waiting.parquet": waiting_tiles, "voxels.parquet": voxels, "dem.tif": raster, "top.tif": top,
+    "layers.gpkg": layers, "poles.geojson": geojson, "scans.laz": laz, "terrain.npz": terrain,
+    "masks.zip": images, "images.zip": jpegs, "poles.csv": csv, "page.json": json_file,
+}  # fmt: skip
 
 
 @contextmanager

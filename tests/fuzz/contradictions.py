@@ -48,13 +48,9 @@ def contradicted_cloud(path: Path, kind: str, rng: np.random.Generator) -> None:
 
 
 KINDS = (
-    "stale keys",
-    "stale keys, no bit",
-    "stale record 4224",
-    "one part",
-    "count in the old place",
+    "stale keys", "stale keys, no bit", "stale record 4224", "one part", "count in the old place",
     "no count",
-)
+)  # fmt: skip
 
 
 def keys_of(values: dict[int, int]) -> laspy.VLR:

@@ -335,15 +335,11 @@ class PolesSite(ReportSite):
         ]
         ablation = [
             {
-                "component": component,
-                "images_accepted": 40,
-                "poles": 9,
-                "mean_error_m": 3.25,
-                "f1_3m": 0.5,
-                "f1_6m": None,
+                "component": component, "images_accepted": 40, "poles": 9, "mean_error_m": 3.25,
+                "f1_3m": 0.5, "f1_6m": None,
             }
             for component in ("side_views", "occlusion", "my <own>")
-        ]
+        ]  # fmt: skip
         content = {
             "truth": {"within_reach": len(apart), "out_of_reach": 2, "reach_m": 25.0},
             "thresholds": thresholds,

@@ -105,14 +105,9 @@ class Checkout:
     def snakemake(self, *arguments: str, timeout_s: float = 3600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
         return subprocess.run(
-            self.command(*arguments),
-            cwd=self.folder,
-            env=self.environment(),
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
+            self.command(*arguments), cwd=self.folder, env=self.environment(), capture_output=True,
+            text=True, timeout=timeout_s, check=False,
+        )  # fmt: skip
 
     def command(self, *arguments: str) -> list[str]:
         """Command line of Snakemake on the small site."""

@@ -335,15 +335,10 @@ def test_cloud_without_pavement(tmp_path, capsys):
 
 
 SCENE = {
-    "cloud": "cloud.parquet",
-    "frame": "frame.json",
-    "profile": "profile.json",
-    "dem": "dem.tif",
-    "ground": "ground.parquet",
-    "clusters": "clusters.parquet",
-    "pavement": "pavement.gpkg",
+    "cloud": "cloud.parquet", "frame": "frame.json", "profile": "profile.json", "dem": "dem.tif",
+    "ground": "ground.parquet", "clusters": "clusters.parquet", "pavement": "pavement.gpkg",
     "points": "points.parquet",
-}
+}  # fmt: skip
 
 
 # Digitised edges.

@@ -49,13 +49,9 @@ def read_tif(path):
 
 
 READERS = {
-    ".parquet": read_parquet,
-    ".zip": read_zip,
-    ".json": read_json,
-    ".tif": read_tif,
-    ".npz": read_terrain,
-    ".gpkg": read_gpkg,
-}
+    ".parquet": read_parquet, ".zip": read_zip, ".json": read_json, ".tif": read_tif,
+    ".npz": read_terrain, ".gpkg": read_gpkg,
+}  # fmt: skip
 
 
 def intermediate_results(checkout):

@@ -476,12 +476,8 @@ def test_bad_clouds(verb, kind, tmp_path, capsys):
     cloud = bad_cloud(kind, tmp_path / "in")
     out = tmp_path / "out" / "result"
     argv = [
-        verb,
-        cloud,
-        "-o",
-        out.with_suffix(SUFFIXES.get(verb, ".laz")),
-        *CLOUD_VERBS.get(verb, []),
-    ]
+        verb, cloud, "-o", out.with_suffix(SUFFIXES.get(verb, ".laz")), *CLOUD_VERBS.get(verb, []),
+    ]  # fmt: skip
     message = refused(argv, tmp_path / "out", capsys)
     assert str(cloud) in message
 

@@ -102,19 +102,14 @@ class TestConfig:
     @pytest.mark.parametrize(
         ("section", "key", "value"),
         [
-            ("ground", "slope", 0),
-            ("ground", "slope", "steep"),
-            ("ground", "pillar_width_m", -0.2),
-            ("ground", "pillar_width_m", math.nan),
-            ("scene", "tile_size_m", math.inf),
-            ("pavement", "smallest_hole_m2", math.inf),
-            ("pavement", "neighbours", 2),
-            ("pavement", "neighbours", 10.5),
-            ("pavement", "intensity", "maybe"),
-            ("candidates", "gap_factor", 1.9),
+            ("ground", "slope", 0), ("ground", "slope", "steep"),
+            ("ground", "pillar_width_m", -0.2), ("ground", "pillar_width_m", math.nan),
+            ("scene", "tile_size_m", math.inf), ("pavement", "smallest_hole_m2", math.inf),
+            ("pavement", "neighbours", 2), ("pavement", "neighbours", 10.5),
+            ("pavement", "intensity", "maybe"), ("candidates", "gap_factor", 1.9),
             ("coverage", "uncoverable", None),
         ],
-    )
+    )  # fmt: skip
     def test_a_bad_value_is_shown_with_its_key(self, section, key, value):
         found = message(load_config, {section: {key: value}})
         assert f"config/config.yaml: {section}.{key}: " in found

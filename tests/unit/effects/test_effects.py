@@ -41,13 +41,9 @@ DRIVE = {
     "lenses": [LENS],
 }
 SENSOR = Sensor(
-    elevation_min_deg=-20,
-    elevation_max_deg=20,
-    channels=129,
-    range_m=100,
-    range_10_m=40,
+    elevation_min_deg=-20, elevation_max_deg=20, channels=129, range_m=100, range_10_m=40,
     divergence_mrad=(3.0, 1.5),
-)
+)  # fmt: skip
 
 
 def circumstances(profile=None, sensors=None, drive=None, given=None, **sections):

@@ -20,20 +20,10 @@ TANGENTS = np.tile([0.0, 1.0], (480, 1))
 
 def camera(**changes: float) -> dict[str, object]:
     return {
-        "image": "a.jpg",
-        "x": 0.0,
-        "y": 0.0,
-        "z": 2.0,
-        "heading_deg": 0.0,
-        "pitch_deg": -2.0,
-        "roll_deg": 0.0,
-        "focal_px": 800.0,
-        "cx_px": 319.5,
-        "cy_px": 239.5,
-        "width_px": 640,
-        "height_px": 480,
-        "accepted": True,
-    } | changes
+        "image": "a.jpg", "x": 0.0, "y": 0.0, "z": 2.0, "heading_deg": 0.0, "pitch_deg": -2.0,
+        "roll_deg": 0.0, "focal_px": 800.0, "cx_px": 319.5, "cy_px": 239.5, "width_px": 640,
+        "height_px": 480, "accepted": True,
+    } | changes  # fmt: skip
 
 
 def errors_of(found: dict, true: dict) -> pd.Series:
@@ -44,15 +34,8 @@ def errors_of(found: dict, true: dict) -> pd.Series:
 def test_the_right_pose_has_no_error() -> None:
     row = errors_of(camera(), camera())
     names = [
-        "yaw_deg",
-        "pitch_deg",
-        "roll_deg",
-        "along_m",
-        "right_m",
-        "up_m",
-        "point_px",
-        "edge_px",
-    ]
+        "yaw_deg", "pitch_deg", "roll_deg", "along_m", "right_m", "up_m", "point_px", "edge_px",
+    ]  # fmt: skip
     assert row[names].abs().max() == pytest.approx(0.0, abs=1e-9)
     assert row["focal_ratio"] == 1.0
 

@@ -18,18 +18,11 @@ ELEMENTS = [
 def table(n=3, rating="high"):
     hazard = pd.DataFrame(
         {
-            "id": [f"p{i}" for i in range(n)],
-            "kind": "pole",
-            "rank": np.arange(n, 0, -1),
-            "rating": rating,
-            "route": "SR <7>",
-            "station_m": 10.0,
-            "side": -1,
-            "offset_m": 4.0,
-            "clear_zone_m": 8.0,
-            "reasons": "4 m from the edge <b>",
+            "id": [f"p{i}" for i in range(n)], "kind": "pole", "rank": np.arange(n, 0, -1),
+            "rating": rating, "route": "SR <7>", "station_m": 10.0, "side": -1, "offset_m": 4.0,
+            "clear_zone_m": 8.0, "reasons": "4 m from the edge <b>",
         }
-    )
+    )  # fmt: skip
     rows = [(name, *element) for name in hazard["id"] for element in ELEMENTS]
     columns = ["object", "kind", "start_m", "end_m", "rise_m", "slope_ratio"]
     run = np.arange(0, 12, 0.5)

@@ -121,14 +121,10 @@ class TestPlaces:
 class TestGaps:
     explained = pd.DataFrame(
         {
-            "target": ["b", "d"],
-            "reason": ["too few beams", "hidden"],
-            "nearest_m": [80.5, 12.5],
-            "blocked_share": [0.0, 0.75],
-            "obstacle_x": [np.nan, 4.0],
-            "obstacle_y": [np.nan, 5.0],
+            "target": ["b", "d"], "reason": ["too few beams", "hidden"], "nearest_m": [80.5, 12.5],
+            "blocked_share": [0.0, 0.75], "obstacle_x": [np.nan, 4.0], "obstacle_y": [np.nan, 5.0],
         }
-    )
+    )  # fmt: skip
 
     def test_targets_seen_often_enough_are_no_gaps(self):
         gaps = gaps_of(TARGETS, np.array([0, 1, 0, 0]), 1, {"c", "d"}, self.explained)
@@ -155,16 +151,11 @@ class TestGaps:
     def test_obstacles_tell_unknown_heights(self):
         layer = gpd.GeoDataFrame(
             {
-                "kind": ["object", "ground"],
-                "target": "a",
-                "candidate": "p1",
-                "height_m": [2.5, np.nan],
-                "targets": [9, 1],
-                "sensors": 1,
-                "sight_lines": [12, 1],
+                "kind": ["object", "ground"], "target": "a", "candidate": "p1",
+                "height_m": [2.5, np.nan], "targets": [9, 1], "sensors": 1, "sight_lines": [12, 1],
             },
             geometry=gpd.points_from_xy([1, 2], [3, 4], [5, 6]),
-        )
+        )  # fmt: skip
         first, second = obstacles_of(layer)
         assert (first["x"], first["y"], first["height_m"], first["targets"]) == (1, 3, 2.5, 9)
         assert second["height_m"] is None
@@ -175,16 +166,12 @@ class TestProofs:
     @pytest.mark.parametrize(
         ("status", "objective", "bound", "whole", "proven"),
         [
-            ("optimal", 7.0, 7.0, True, True),
-            ("optimal", 7.0, 6.001, True, True),
-            ("optimal", 7.0, 6.0, True, False),
-            ("optimal", 7.0, 6.001, False, False),
-            ("optimal", 7.0, 7.0 - 1e-9, False, True),
-            ("optimal", 7.0, 6.0 + 1e-9, True, False),
-            ("time_limit", 7.0, 7.0, True, False),
-            ("optimal", 0.0, 0.0, True, True),
+            ("optimal", 7.0, 7.0, True, True), ("optimal", 7.0, 6.001, True, True),
+            ("optimal", 7.0, 6.0, True, False), ("optimal", 7.0, 6.001, False, False),
+            ("optimal", 7.0, 7.0 - 1e-9, False, True), ("optimal", 7.0, 6.0 + 1e-9, True, False),
+            ("time_limit", 7.0, 7.0, True, False), ("optimal", 0.0, 0.0, True, True),
         ],
-    )
+    )  # fmt: skip
     def test_status_and_bound_must_agree(self, status, objective, bound, whole, proven):
         assert is_proven(status, objective, bound, whole) is proven
 

@@ -27,21 +27,11 @@ def plain(text):
 @pytest.mark.parametrize(
     ("value", "shown"),
     [
-        (0, "0"),
-        (-0.0, "0"),
-        (1234567, "1,234,567"),
-        (12345.678, "12,346"),
-        (16.389999, "16.39"),
-        (0.5, "0.5"),
-        (0.13928, "0.1393"),
-        (0.00012345, "0.0001234"),
-        (1.2e-7, "1.2e-07"),
-        (-2.5, "-2.5"),
-        (9999.96, "10,000"),
-        (float("nan"), MISSING),
-        (float("inf"), MISSING),
+        (0, "0"), (-0.0, "0"), (1234567, "1,234,567"), (12345.678, "12,346"), (16.389999, "16.39"),
+        (0.5, "0.5"), (0.13928, "0.1393"), (0.00012345, "0.0001234"), (1.2e-7, "1.2e-07"),
+        (-2.5, "-2.5"), (9999.96, "10,000"), (float("nan"), MISSING), (float("inf"), MISSING),
     ],
-)
+)  # fmt: skip
 def test_number(value, shown):
     assert plain(number(value)) == shown
 
@@ -57,14 +47,10 @@ def test_number_with_decimals(value, decimals, shown):
 @pytest.mark.parametrize(
     ("share", "shown"),
     [
-        (0, "0 %"),
-        (1, "100 %"),
-        (0.0001, "< 0.1 %"),
-        (0.99996, "> 99.9 %"),
-        (0.0444, "4.4 %"),
+        (0, "0 %"), (1, "100 %"), (0.0001, "< 0.1 %"), (0.99996, "> 99.9 %"), (0.0444, "4.4 %"),
         (0.6, "60 %"),
     ],
-)
+)  # fmt: skip
 def test_percent_reaches_its_ends_only_when_it_is_there(share, shown):
     assert plain(percent(share)) == shown
 
@@ -80,15 +66,10 @@ def test_seconds(value, shown):
 @pytest.mark.parametrize(
     ("value", "shown"),
     [
-        (0, "0° N"),
-        (359.7, "0° N"),
-        (337.5, "338° N"),
-        (337, "337° NW"),
-        (135, "135° SE"),
-        (22, "22° N"),
-        (23, "23° NE"),
+        (0, "0° N"), (359.7, "0° N"), (337.5, "338° N"), (337, "337° NW"), (135, "135° SE"),
+        (22, "22° N"), (23, "23° NE"),
     ],
-)
+)  # fmt: skip
 def test_bearing_wraps(value, shown):
     assert bearing(value) == shown
 

@@ -287,15 +287,10 @@ def test_costs_that_are_far_apart_are_proven_relative_to_the_objective():
 @pytest.mark.parametrize(
     ("costs", "step"),
     [
-        ([4.0, 6.0], 2.0),
-        ([0.5, 0.75], 0.25),
-        ([1.0], 1.0),
-        ([np.pi, 1.0], 0.0),
-        ([3e20], 3e20),
-        ([1e-9, 3e-9], 1e-9),
-        ([1.0, 1e13], 0.0),
+        ([4.0, 6.0], 2.0), ([0.5, 0.75], 0.25), ([1.0], 1.0), ([np.pi, 1.0], 0.0), ([3e20], 3e20),
+        ([1e-9, 3e-9], 1e-9), ([1.0, 1e13], 0.0),
     ],
-)
+)  # fmt: skip
 def test_objective_step(costs, step):
     assert objective_step(np.array(costs)) == pytest.approx(step)
 
@@ -303,19 +298,12 @@ def test_objective_step(costs, step):
 @pytest.mark.parametrize(
     "change",
     [
-        {"matrix": [[1, -1]]},
-        {"matrix": [[1, np.nan]]},
-        {"matrix": np.ones((2, 2, 2))},
-        {"matrix": np.array([["a"]])},
-        {"costs": [1.0]},
-        {"costs": [1.0, 0.0]},
-        {"costs": [1.0, np.inf]},
-        {"groups": [0.5, 1.0]},
-        {"at_least": -1},
-        {"mandatory": [2]},
+        {"matrix": [[1, -1]]}, {"matrix": [[1, np.nan]]}, {"matrix": np.ones((2, 2, 2))},
+        {"matrix": np.array([["a"]])}, {"costs": [1.0]}, {"costs": [1.0, 0.0]},
+        {"costs": [1.0, np.inf]}, {"groups": [0.5, 1.0]}, {"at_least": -1}, {"mandatory": [2]},
         {"mandatory": [0], "forbidden": [0]},
     ],
-)
+)  # fmt: skip
 def test_refuses(change):
     with pytest.raises(InputError):
         CoverProblem(**({"matrix": [[1, 1], [0, 1]]} | change))

@@ -23,14 +23,9 @@ from snakemake_logger_plugin_roadsight.events import entry
 
 def begun(number, rule, time, **more):
     return {
-        "event": "job_info",
-        "time": time,
-        "jobid": number,
-        "rule_name": rule,
-        "wildcards": {"site": "a"},
-        "log": [f"{number}.log"],
-        **more,
-    }
+        "event": "job_info", "time": time, "jobid": number, "rule_name": rule,
+        "wildcards": {"site": "a"}, "log": [f"{number}.log"], **more,
+    }  # fmt: skip
 
 
 def finished(number, time):

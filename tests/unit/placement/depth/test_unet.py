@@ -192,13 +192,9 @@ class TestGrids:
 
     @settings(max_examples=20, deadline=None)
     @given(
-        st.integers(-100, 60),
-        st.integers(1, 30),
-        st.integers(1, 9),
-        st.integers(-1800, 1700),
-        st.sampled_from([1, 2, 5, 10]),
-        st.integers(0, 9),
-    )
+        st.integers(-100, 60), st.integers(1, 30), st.integers(1, 9), st.integers(-1800, 1700),
+        st.sampled_from([1, 2, 5, 10]), st.integers(0, 9),
+    )  # fmt: skip
     def test_beams_in_the_middle_of_cells_get_them_unchanged(
         self, low, rows, every, first, stride, seed
     ):

@@ -233,17 +233,12 @@ class TestObstacles:
         )
         write_detections(tmp_path / "seen", nothing, {"sensor": "eye"})
         files = {
-            "solution": tmp_path / "solution",
-            "coverage": tmp_path / "coverage",
-            "targets": folder / "targets",
-            "surfels": tmp_path / "walls",
-            "dem": tmp_path / "dem.tif",
-            "frame": folder / "frame.json",
-            "sensors": folder / "sensors.yaml",
-            "candidates": folder / "candidates",
-            "detections": tmp_path / "seen",
-            "out": tmp_path / "out.gpkg",
-        }
+            "solution": tmp_path / "solution", "coverage": tmp_path / "coverage",
+            "targets": folder / "targets", "surfels": tmp_path / "walls",
+            "dem": tmp_path / "dem.tif", "frame": folder / "frame.json",
+            "sensors": folder / "sensors.yaml", "candidates": folder / "candidates",
+            "detections": tmp_path / "seen", "out": tmp_path / "out.gpkg",
+        }  # fmt: skip
         named = [part for key, file in files.items() for part in (f"--{key}", str(file))]
         assert find_obstacles.main([*named, "--plan", "p"]) == 0
         obstacles = read_layer(tmp_path / "out.gpkg", "obstacles", FRAME)
@@ -263,16 +258,9 @@ class TestScans:
         folder, _ = road
         definition = load_sensors(folder / "sensors.yaml")[sensor]
         place = {
-            "candidate": "a@y+60p-20r+5",
-            "position": "a",
-            "sensor": sensor,
-            "x": 0.0,
-            "y": -4.0,
-            "z": 6.0,
-            "yaw_deg": 150.0,
-            "pitch_deg": -20.0,
-            "roll_deg": 5.0,
-        }
+            "candidate": "a@y+60p-20r+5", "position": "a", "sensor": sensor, "x": 0.0, "y": -4.0,
+            "z": 6.0, "yaw_deg": 150.0, "pitch_deg": -20.0, "roll_deg": 5.0,
+        }  # fmt: skip
         write_json(tmp_path / "solution", {"sensors": [place]})
         arguments = ["--solution", str(tmp_path / "solution"), "--out", str(tmp_path / "scan.laz")]
         for name, file in (

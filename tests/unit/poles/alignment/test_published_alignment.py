@@ -131,13 +131,8 @@ def test_a_registered_camera_stands_where_it_was_registered():
     axes = Axes.along([10.0, 20.0, 5.0], [0.0, 8.0, 0.0])
     pose = pose_in(axes, start_of(registered())[0])
     expected = {
-        "x": 9.8,
-        "y": 20.3,
-        "z": 7.2,
-        "heading_deg": 0.8,
-        "pitch_deg": -1.5,
-        "roll_deg": 0.4,
-    }
+        "x": 9.8, "y": 20.3, "z": 7.2, "heading_deg": 0.8, "pitch_deg": -1.5, "roll_deg": 0.4,
+    }  # fmt: skip
     assert pose == pytest.approx(expected)
     climbing = Axes.along([10.0, 20.0, 5.0], [0.0, 8.0, 8.0 * np.tan(np.radians(4.0))])
     assert pose_in(climbing, start_of(registered(yaw=0.0, roll=0.0))[0])[

@@ -79,15 +79,10 @@ def test_roads_that_an_inventory_does_not_name():
 @pytest.mark.parametrize(
     ("name", "route"),
     [
-        ("SR1427E", "SR1427"),
-        ("I40-EB", "I40"),
-        ("12_n", "12"),
-        ("Main St W", "Main St"),
-        ("Maine", None),
-        ("Vines", None),
-        ("Main", None),
+        ("SR1427E", "SR1427"), ("I40-EB", "I40"), ("12_n", "12"), ("Main St W", "Main St"),
+        ("Maine", None), ("Vines", None), ("Main", None),
     ],
-)
+)  # fmt: skip
 def test_only_directions_are_left_out_of_names(name, route):
     names = ("SR1427", "I40", "12", "Main St", "Vine", "Mai")
     known = inventory(*[(one, 0, 500, 80, 3000, 2) for one in names])

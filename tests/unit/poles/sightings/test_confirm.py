@@ -76,15 +76,10 @@ def test_views_together_decide():
         [*(tree(n, 0.0, 20.0) for n in range(4)), *rail(0, 3, 8, 20), *rail(1, 3, 8, 20)]
     )
     said = [
-        ("tree", 0, "b", SEEN),
-        ("tree", 0, "a", SEEN),
-        ("tree", 0, "c", AGAINST),
-        ("tree", 1, "a", SEEN),
-        ("tree", 1, "b", AGAINST),
-        ("tree", 1, "c", AGAINST),
-        ("tree", 2, "a", UNDECIDED),
-        ("guardrail", 0, "a", UNDECIDED),
-    ]
+        ("tree", 0, "b", SEEN), ("tree", 0, "a", SEEN), ("tree", 0, "c", AGAINST),
+        ("tree", 1, "a", SEEN), ("tree", 1, "b", AGAINST), ("tree", 1, "c", AGAINST),
+        ("tree", 2, "a", UNDECIDED), ("guardrail", 0, "a", UNDECIDED),
+    ]  # fmt: skip
     seen = pd.DataFrame(said, columns=["kind", "object", "image", "answer"]).assign(route="r")
     told = confirmed(table, seen).set_index(["kind", "object"])
     assert told["kept"].to_dict() == {

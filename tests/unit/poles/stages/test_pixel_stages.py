@@ -68,14 +68,9 @@ def write_site(folder):
     write_table(folder / "voxels.parquet", voxels, about)
     x, y = place(*TRUTH[0])
     column = {
-        "x": x,
-        "y": y,
-        "z_ground": 0.0,
-        "top_m": 9.0,
-        "sigma_m": 0.05,
-        "points": 9.0,
+        "x": x, "y": y, "z_ground": 0.0, "top_m": 9.0, "sigma_m": 0.05, "points": 9.0,
         "open_top": 0.0,
-    }
+    }  # fmt: skip
     write_table(folder / "columns.parquet", pd.DataFrame([column]))
 
 

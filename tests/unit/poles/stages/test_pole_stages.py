@@ -35,13 +35,9 @@ from roadsight.stages.poles import measure_poles, rate_hazard, triangulate_poles
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
 FEET_CRS = "NAD83(2011) / North Carolina (ftUS) (EPSG:6543)"
 OUTPUTS = {
-    "out": "parquet",
-    "csv": "csv",
-    "layers": "gpkg",
-    "geometry-csv": "csv",
-    "sections": "parquet",
+    "out": "parquet", "csv": "csv", "layers": "gpkg", "geometry-csv": "csv", "sections": "parquet",
     "doubts": "json",
-}
+}  # fmt: skip
 POLES = np.array([[20.0, 8.0], [42, -7], [60, 8], [85, 9], [100, -8], [121, 8]])
 
 
@@ -98,15 +94,9 @@ def run_triangulation(site, *shards, **more):
     ]
     arguments += [f"--{name}={path}" for name, path in out.items()]
     arguments += [
-        "--dem",
-        str(site / "dem.tif"),
-        "--sigma-position-m",
-        "0.3",
-        "--min-views",
-        "2",
-        "--pole-evidence=-0.5",
-        *more.get("also", []),
-    ]
+        "--dem", str(site / "dem.tif"), "--sigma-position-m", "0.3", "--min-views", "2",
+        "--pole-evidence=-0.5", *more.get("also", []),
+    ]  # fmt: skip
     return triangulate_poles.main(arguments), out
 
 
@@ -554,18 +544,10 @@ def test_known_things_are_compared_with_what_is_of_their_kind(site, poles, tmp_p
 def test_the_published_triangulation_is_scored_like_ours(site, tmp_path):
     """Of poles alone, whatever else was sighted."""
     given = compare_components.Given(
-        frames=site / "frames.parquet",
-        image_edges=(),
-        masks=(),
-        depth=(),
-        road_edges=site / "edges.parquet",
-        columns=tmp_path,
-        voxels=tmp_path,
-        dem=site / "dem.tif",
-        frame=site / "frame.json",
-        truth=str(site / "truth.csv"),
-        settings_json="",
-    )
+        frames=site / "frames.parquet", image_edges=(), masks=(), depth=(),
+        road_edges=site / "edges.parquet", columns=tmp_path, voxels=tmp_path, dem=site / "dem.tif",
+        frame=site / "frame.json", truth=str(site / "truth.csv"), settings_json="",
+    )  # fmt: skip
     sections = (Calibration, Alignment, Sightings, Triangulation, Validation)
     settings = compare_components.PoleSettings(
         **{section.__name__.lower(): section() for section in sections}

@@ -329,14 +329,9 @@ def _panel_sightings(depth_m):
     table = pd.DataFrame({"x": x, "y": 0.0, "bearing_grid_deg": bearing, "depth_m": depth_m})
     table["image"] = [f"i{n}" for n in range(8)]
     return table.assign(
-        route="r",
-        sequence=range(8),
-        kind="sign",
-        sigma_bearing_deg=0.2,
-        sigma_depth_m=0.5 * table["depth_m"],
-        kept=True,
-        anchored=False,
-    )
+        route="r", sequence=range(8), kind="sign", sigma_bearing_deg=0.2,
+        sigma_depth_m=0.5 * table["depth_m"], kept=True, anchored=False,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("far", [0, 6, 8])
@@ -466,13 +461,9 @@ def _mahalanobis2(seed: int, shared: bool) -> float:
     if shared:
         known |= {"turned_deg": turned, "aside_m": aside, "own_deg": np.full(5, own_deg)}
     rays = make_rays(
-        camera,
-        bearing,
-        away + rng.normal(0.0, 2.0, 5),
-        image=np.arange(5),
-        route=np.zeros(5),
+        camera, bearing, away + rng.normal(0.0, 2.0, 5), image=np.arange(5), route=np.zeros(5),
         **known,
-    )
+    )  # fmt: skip
     settings = TriangulationSettings(calibrate_depth=False, sigma_position_m=0.01)
     noise = stated_noise(settings)
     noise.variances[[1, 5]] = 1e-8
@@ -496,15 +487,9 @@ def _covariance(camera, pole, known, route=None, depth_ratio=1.0):
     bearing = np.degrees(np.arctan2(gap[:, 0], gap[:, 1]))
     known = {"own_deg": np.full(n, 0.05)} | known
     rays = make_rays(
-        camera,
-        bearing,
-        depth_ratio * np.hypot(*gap.T),
-        np.full(n, 0.5),
-        np.full(n, 20.0),
-        image=np.arange(n),
-        route=np.zeros(n) if route is None else route,
-        **known,
-    )
+        camera, bearing, depth_ratio * np.hypot(*gap.T), np.full(n, 0.5), np.full(n, 20.0),
+        image=np.arange(n), route=np.zeros(n) if route is None else route, **known,
+    )  # fmt: skip
     settings = TriangulationSettings(calibrate_depth=False, sigma_position_m=0.01)
     return place_groups(rays, [np.arange(n)], pole[None], stated_noise(settings), settings)[1][0]
 
