@@ -3,8 +3,6 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from roadsight.poles.sightings.sighting_bearing import OWN_COLUMN
 from roadsight.poles.triangulate.explain import explain_rays
@@ -43,31 +41,6 @@ def test_finds_every_pole_of_a_street():
     assert nearest(poles, truth).min(axis=0).max() < 0.8
     assert poles["kept"].all()
     assert (poles["score"] >= 2).all()
-
-
-@given(
-    st.floats(0, 360), st.floats(-5e6, 5e6), st.floats(-5e6, 5e6), st.permutations(list(range(8)))
-)
-@settings(max_examples=15, deadline=None)
-def test_moves_turns_and_order_of_rows_carry_over(turn_deg, east_m, north_m, start):
-    _, rows = street(poles=4)
-    radians = np.radians(turn_deg)
-    matrix = np.array([[np.cos(radians), np.sin(radians)], [-np.sin(radians), np.cos(radians)]])
-    moved = rows.copy()
-    moved[:, :2] = rows[:, :2] @ matrix.T + [east_m, north_m]
-    moved[:, 2] += turn_deg
-    moved = np.roll(moved, start[0], axis=0)[::-1]
-    before, after = found(rows), found(moved)
-    expected = before[["x", "y"]].to_numpy() @ matrix.T + [east_m, north_m]
-    assert len(after) == len(before)
-    assert nearest(after, expected).min(axis=1).max() < 1e-5
-    assert np.sort(after["sigma_major_m"]) == pytest.approx(np.sort(before["sigma_major_m"]))
-
-
-def test_permuted_and_repeated_rows_give_the_same_bytes(rng):
-    _, rows = street()
-    again = np.concatenate([rows, rows[5:9]])[rng.permutation(len(rows) + 4)]
-    pd.testing.assert_frame_equal(found(again), found(rows), check_exact=True)
 
 
 def test_bearings_on_either_side_of_north_are_near_each_other():
