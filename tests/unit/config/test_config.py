@@ -102,7 +102,7 @@ class TestConfig:
     @pytest.mark.parametrize(
         ("section", "key", "value"),
         [
-            ("ground", "slope", 0), ("ground", "slope", "steep"),
+            ("ground", "slope", 0), ("ground", "slope", 3.0), ("ground", "slope", "steep"),
             ("ground", "pillar_width_m", -0.2), ("ground", "pillar_width_m", math.nan),
             ("scene", "tile_size_m", math.inf), ("pavement", "smallest_hole_m2", math.inf),
             ("pavement", "neighbours", 2), ("pavement", "neighbours", 10.5),
@@ -110,10 +110,12 @@ class TestConfig:
             ("coverage", "uncoverable", None),
         ],
     )  # fmt: skip
-    def test_a_bad_value_is_shown_with_its_key(self, section, key, value):
+    def test_a_bad_value_is_shown_with_its_key(self, files, section, key, value):
         found = message(load_config, {section: {key: value}})
         assert f"config/config.yaml: {section}.{key}: " in found
         assert f"found {value!r}" in found
+        site = SITE + yaml.safe_dump({"settings": {section: {key: value}}})
+        assert f"site.yaml: settings: {section}.{key}: " in message(files.load, site)
 
     @pytest.mark.parametrize("content", [None, [], "sample", 5])
     def test_content_that_is_no_mapping_is_refused(self, content):
@@ -186,7 +188,7 @@ class TestPlans:
 
     def test_plan_without_sensors_is_refused(self, files):
         found = message(files.load, plans="plans: {none: {title: None, sensors: []}}")
-        assert "plans.none.sensors: " in found
+        assert "plans.none.sensors: " in found and "at least 1" in found
 
     def test_misspelt_key_inside_a_plan_gets_the_nearest_name(self, files):
         found = message(files.load, plans="plans: {one: {title: One, sensor: [VLP-16]}}")
@@ -247,6 +249,10 @@ class TestSite:
     )
     def test_a_site_has_either_clouds_or_a_sample(self, files, site):
         assert "give either clouds (a list of files) or sample" in message(files.load, site)
+
+    @pytest.mark.parametrize("text", ["", "- a\n- b\n", "site: [\n", "site: Ä b\nsample: {}\n"])
+    def test_a_file_that_is_no_site_is_named(self, files, text):
+        assert "site.yaml" in message(files.load, text)
 
     @pytest.mark.parametrize("name", ["A", "a b", "../a", "-a", ""])
     def test_site_names_must_be_usable_as_folders(self, files, name):
