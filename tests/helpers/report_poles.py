@@ -252,21 +252,13 @@ class PolesSite(ReportSite):
         placed = self.true_poles[rows] + self.rng.normal(0, [1.2, 1.2, 0.1], (len(rows), 3))
         self.poles = pd.DataFrame(
             {
-                "id": [f"p{n:03d}" for n in range(len(rows))],
-                "kind": "pole",
-                "x": placed[:, 0],
-                "y": placed[:, 1],
-                "z": placed[:, 2],
-                "score": [len(images) for images in shown],
-                "sigma_major_m": 1.5,
-                "sigma_minor_m": 0.4,
-                "sigma_azimuth_deg": 40.0,
-                "images": [";".join(images) for images in shown],
-                "routes": "40001",
-                "kept": True,
+                "id": [f"p{n:03d}" for n in range(len(rows))], "kind": "pole", "x": placed[:, 0],
+                "y": placed[:, 1], "z": placed[:, 2], "score": [len(images) for images in shown],
+                "sigma_major_m": 1.5, "sigma_minor_m": 0.4, "sigma_azimuth_deg": 40.0,
+                "images": [";".join(images) for images in shown], "routes": "40001", "kept": True,
                 "reason": "",
             }
-        )
+        )  # fmt: skip
         if self.frame.crs_wkt is not None:
             latitude, longitude = SiteNorth(self.frame).to_geographic(placed)
             self.poles["latitude"], self.poles["longitude"] = latitude, longitude

@@ -66,12 +66,9 @@ class Checkout:
     def copy_to(cls, folder: Path, site: str = "tiny") -> Checkout:
         """Copy every tracked or new file of the project, but nothing that it generated."""
         listed = subprocess.run(
-            ["git", "ls-files", "-co", "--exclude-standard"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.splitlines()
+            ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True,
+            text=True, check=True,
+        ).stdout.splitlines()  # fmt: skip
         for name in listed:
             source, target = ROOT / name, folder / name
             if not source.exists() and not source.is_symlink():

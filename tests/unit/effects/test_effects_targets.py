@@ -86,13 +86,10 @@ class TestMetrics:
     @pytest.mark.parametrize(
         "other",
         [
-            {"kind": "truck"},
-            {"radius_m": 0.3},
-            {"height_m": 1.0},
-            {"min_beams": 4},
+            {"kind": "truck"}, {"radius_m": 0.3}, {"height_m": 1.0}, {"min_beams": 4},
             {"rcs_m2": 1.0},
         ],
-    )
+    )  # fmt: skip
     def test_truth_of_the_default_targets_does_not_judge_others(self, metric, other):
         (key, found), *_ = other.items()
         with pytest.raises(

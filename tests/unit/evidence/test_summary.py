@@ -14,22 +14,12 @@ SETTINGS = {"seed": 7, "shards": 2, "cover": {"time_limit_s": 300.0}}
 
 def solution(plan, **changes):
     return {
-        "site": "here",
-        "plan": plan,
-        "sensor_types": ["S"],
-        "status": "optimal",
-        "objective": 2.5,
-        "bound": 2.5,
-        "gap": 0.0,
-        "at_least": 1,
-        "sensors": [{"candidate": "a"}, {"candidate": "b"}],
-        "targets": 10,
-        "covered_targets": 9,
-        "uncoverable_targets": 1,
-        "excluded": ["t3"],
-        "proven_area_m2": 7.5,
+        "site": "here", "plan": plan, "sensor_types": ["S"], "status": "optimal", "objective": 2.5,
+        "bound": 2.5, "gap": 0.0, "at_least": 1,
+        "sensors": [{"candidate": "a"}, {"candidate": "b"}], "targets": 10, "covered_targets": 9,
+        "uncoverable_targets": 1, "excluded": ["t3"], "proven_area_m2": 7.5,
         "reductions": {"rows": 4},
-    } | changes
+    } | changes  # fmt: skip
 
 
 @pytest.fixture
@@ -48,12 +38,9 @@ def folder(tmp_path):
 
 def summarise(folder, *options, out="summary.json"):
     named = {
-        "frame": "frame.json",
-        "profile": "profile.json",
-        "effects": "effects.json",
-        "out": out,
+        "frame": "frame.json", "profile": "profile.json", "effects": "effects.json", "out": out,
         "run": f"run-of-{out}",
-    }
+    }  # fmt: skip
     paths = [part for n, file in named.items() for part in (f"--{n}", str(folder / file))]
     fixed = ["--site", "here", "--seed", "7", "--settings", json.dumps(SETTINGS)]
     code = main([*fixed, *paths, *options])

@@ -340,14 +340,11 @@ class TestPage:
         rows = [{"study": "s", **row} for row in study_rows(study.studies["s"], measured)]
         ways = {
             name: {
-                "coordinate_error_m": e,
-                "normal_error_deg": e,
-                "cpu_s": 1.0,
-                "wall_s": 1.0,
+                "coordinate_error_m": e, "normal_error_deg": e, "cpu_s": 1.0, "wall_s": 1.0,
                 "peak_mib": 1.0,
             }
             for name, e in (("world", 0.25), ("local", 1e-5))
-        }
+        }  # fmt: skip
         coordinates = precision_rows({"default": "local", "repeats": 3, "levels": ways})
         rows += [{"study": "coordinates", **row} for row in coordinates]
         assets = read_assets((TEMPLATE, *STYLES))

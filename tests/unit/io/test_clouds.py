@@ -171,13 +171,10 @@ def test_written_cloud_reads_back_to_half_a_step(tmp_path, code):
     frame = Frame((458000.4, 5428000.6, 100.2), scale, scale, code and wkt_of(code))
     xyz_m = random_points(300, 1, corner=(0, 0, 0))
     dims = {
-        "intensity": np.arange(300, dtype=np.uint16),
-        "classification": np.arange(300) % 30,
-        "withheld": np.arange(300) % 2 == 0,
-        "scan_angle_rank": np.full(300, -15, np.int8),
-        "label": np.arange(300, dtype=np.uint32),
-        "score": np.linspace(0, 1, 300, dtype=np.float32),
-    }
+        "intensity": np.arange(300, dtype=np.uint16), "classification": np.arange(300) % 30,
+        "withheld": np.arange(300) % 2 == 0, "scan_angle_rank": np.full(300, -15, np.int8),
+        "label": np.arange(300, dtype=np.uint32), "score": np.linspace(0, 1, 300, dtype=np.float32),
+    }  # fmt: skip
     path = tmp_path / "out" / "a.laz"
     write_laz(path, xyz_m, frame, dims)
     back = read_laz(path)

@@ -6,13 +6,10 @@ import pandas as pd
 from roadsight.report.poles.hazard_charts import MOST, hazard_profiles, profile_chart
 
 ELEMENTS = [
-    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"),
-    ("drop-off", 1.2, 1.2, -0.1, ""),
-    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"),
-    ("ditch bottom", 3.0, 3.6, 0.0, "level"),
-    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"),
-    ("level", 5.0, 12.0, 0.05, "level"),
-]
+    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"), ("drop-off", 1.2, 1.2, -0.1, ""),
+    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"), ("ditch bottom", 3.0, 3.6, 0.0, "level"),
+    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"), ("level", 5.0, 12.0, 0.05, "level"),
+]  # fmt: skip
 
 
 def table(n=3, rating="high"):

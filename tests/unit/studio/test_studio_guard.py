@@ -52,13 +52,10 @@ def test_page_needs_no_token_but_calls_do(client):
 @pytest.mark.parametrize(
     "foreign",
     [
-        {"Host": "evil.example:8711"},
-        {"Origin": "http://evil.example"},
-        {"Origin": "null"},
-        {"Sec-Fetch-Site": "cross-site"},
-        {"Sec-Fetch-Site": "same-site"},
+        {"Host": "evil.example:8711"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
+        {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"},
     ],
-)
+)  # fmt: skip
 def test_other_sites_are_refused_even_with_the_token(client, foreign):
     assert client.get("/api/project", headers=OWN | foreign).status_code == 403
     assert client.put("/api/sites/x/drawing", json={}, headers=OWN | foreign).status_code == 403

@@ -203,12 +203,9 @@ class TestGrids:
         elevations = [(low + every * i + 0.5) * 0.1 for i in range(rows)]
         start = (first - (stride - 1) / 2) * 0.1
         sensor = Sensor(
-            azimuth_min_deg=start,
-            azimuth_max_deg=start + 10,
-            azimuth_step_deg=stride * 0.1,
-            elevations_deg=elevations,
-            range_m=100,
-        )
+            azimuth_min_deg=start, azimuth_max_deg=start + 10, azimuth_step_deg=stride * 0.1,
+            elevations_deg=elevations, range_m=100,
+        )  # fmt: skip
         row = low + every * np.arange(rows) + 120
         column = (first + 1800 + stride * np.arange(sensor.columns)) % 3600
         np.testing.assert_array_equal(on_beams(depth, fine, sensor), depth[row][:, column])

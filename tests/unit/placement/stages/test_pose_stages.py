@@ -189,12 +189,9 @@ class TestChoice:
     def test_choices_are_those_poses_or_every_candidate_as_it_is(self):
         candidates = pd.DataFrame({"candidate": ["a", "b"], "yaw_deg": [170.0, -90.0]})
         seen = [
-            ("eye", "b@y+0p-10r+0"),
-            ("eye", "a@y+35p-10r+0"),
-            ("eye", "gone@y+0p+0r+0"),
-            ("ring", "a"),
-            ("eye", "b@y+0p-10r+0"),
-        ]
+            ("eye", "b@y+0p-10r+0"), ("eye", "a@y+35p-10r+0"), ("eye", "gone@y+0p+0r+0"),
+            ("ring", "a"), ("eye", "b@y+0p-10r+0"),
+        ]  # fmt: skip
         detections = pd.DataFrame(seen, columns=["sensor", "candidate"])
         choices = choices_of({"ring": 1.0, "eye": 0.4, "ear": 2.0}, candidates, detections)
         assert choices["sensor"].tolist() == ["ring", "ring", "eye", "eye", "ear", "ear"]

@@ -170,13 +170,10 @@ def test_bounds_about_the_baseline(changed, reach):
 @pytest.mark.parametrize(
     ("apart_px", "wide"),
     [
-        ((100.0, 50.0), [0]),
-        ((100.0, 95.0), [0, 1, 2, 3, 4, 5]),
-        ((80.0, 100.0), [1, 2, 3, 4, 5]),
-        ((-400.0, 100.0), [1, 2, 3, 4, 5]),
-        ((np.nan, np.nan), []),
+        ((100.0, 50.0), [0]), ((100.0, 95.0), [0, 1, 2, 3, 4, 5]), ((80.0, 100.0), [1, 2, 3, 4, 5]),
+        ((-400.0, 100.0), [1, 2, 3, 4, 5]), ((np.nan, np.nan), []),
     ],
-)
+)  # fmt: skip
 def test_bounds_about_zero_where_the_ends_are_far_apart(apart_px, wide):
     found, about_zero = bounds(apart_px=apart_px), [10, 11, 18, 2, 3, 2]
     for number in range(6):

@@ -140,13 +140,9 @@ def test_bearings_carry_the_point_only_as_far_as_the_heading_does_not_undo_it():
     turns = float(np.degrees(sigma_px / focal))
     lens = Intrinsics(1000, 600, focal, 499.5, 299.5)
     camera = ViewCamera(
-        lens,
-        (0.0, 0.0, 2.0),
-        20.0,
-        sigma_heading_deg=float(np.hypot(turns, 0.02)),
-        sigma_cx_px=sigma_px,
-        heading_by_cx_deg=turns,
-    )
+        lens, (0.0, 0.0, 2.0), 20.0, sigma_heading_deg=float(np.hypot(turns, 0.02)),
+        sigma_cx_px=sigma_px, heading_by_cx_deg=turns,
+    )  # fmt: skip
     uv = np.column_stack([np.array([499.5, 300.0, 10.0]), np.full(3, 299.5)])
     bearing, sigma = image_bearings(camera, uv, 0.0)
     assert sigma[0] == pytest.approx(0.02, rel=0.01)

@@ -131,21 +131,13 @@ def test_bad_rows_cost_only_themselves(site, capsys, caplog):
     frames = run(folder, table)
     status = frames.set_index("image")["status"]
     expected = {
-        "001.jpg": "image missing",
-        "002.jpg": "image truncated",
-        "003.jpg": "image unreadable",
-        "004.jpg": "64 x 32 px",
-        "005.jpg": "no position",
-        "006.jpg": "no position",
-        "007.jpg": "outside the cloud",
-        "008.jpg": "latitude and longitude look swapped",
-        "010.jpg": "same position",
-        "014.jpg": "GPS jump of 176 m",
-        "../../secret.jpg": "image unreadable",
-        "026.jpg": "listed at two places",
-        "028.jpg": "sequence number used before",
-        "029.jpg": "no sequence number",
-    }
+        "001.jpg": "image missing", "002.jpg": "image truncated", "003.jpg": "image unreadable",
+        "004.jpg": "64 x 32 px", "005.jpg": "no position", "006.jpg": "no position",
+        "007.jpg": "outside the cloud", "008.jpg": "latitude and longitude look swapped",
+        "010.jpg": "same position", "014.jpg": "GPS jump of 176 m",
+        "../../secret.jpg": "image unreadable", "026.jpg": "listed at two places",
+        "028.jpg": "sequence number used before", "029.jpg": "no sequence number",
+    }  # fmt: skip
     for name, reason in expected.items():
         assert status[name].startswith(reason), (name, status[name])
     good = status.drop(list(expected))

@@ -77,12 +77,9 @@ def test_colour_order_is_that_of_the_manifest(tmp_path):
 
 def test_values_are_divided_shifted_and_scaled_by_channel(tmp_path):
     spec = {
-        "colour": "RGB",
-        "size": {"multiple_of": 4},
-        "divide_by": 255,
-        "mean": [0.1, 0.2, 0.3],
+        "colour": "RGB", "size": {"multiple_of": 4}, "divide_by": 255, "mean": [0.1, 0.2, 0.3],
         "std": [0.5, 0.25, 2.0],
-    }
+    }  # fmt: skip
     model = open_model(write(tmp_path, pointwise(COLOURS, ANY), input=spec))
     image = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
     found = tensor_of(image, model.manifest.input)

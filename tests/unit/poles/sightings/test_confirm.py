@@ -42,13 +42,10 @@ def mask_of(cls, xy=(0.0, 20.0), top=10.0, half_m=2.0):
 @pytest.mark.parametrize(
     ("cls", "answer"),
     [
-        (PixelClass.TREE, SEEN),
-        (PixelClass.BUILDING, AGAINST),
-        (PixelClass.SKY, AGAINST),
-        (PixelClass.VEHICLE, UNDECIDED),
-        (PixelClass.POLE, UNDECIDED),
+        (PixelClass.TREE, SEEN), (PixelClass.BUILDING, AGAINST), (PixelClass.SKY, AGAINST),
+        (PixelClass.VEHICLE, UNDECIDED), (PixelClass.POLE, UNDECIDED),
     ],
-)
+)  # fmt: skip
 def test_what_a_mask_shows_at_a_tree_decides(cls, answer):
     (trees,) = objects_of(pd.DataFrame([tree(0, 0.0, 20.0)]))
     assert show(CAMERA, mask_of(cls), trees, 60.0).tolist() == [answer]

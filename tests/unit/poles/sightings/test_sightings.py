@@ -21,16 +21,9 @@ from roadsight.poles.sightings.sightings import Evidence, measure_view
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
 CAMERA = ViewCamera(
-    Intrinsics.from_field_of_view(1000, 600, 60.0),
-    (5.0, -3.0, 2.5),
-    355.0,
-    -2.0,
-    1.0,
-    sigma_heading_deg=0.1,
-    sigma_pitch_deg=0.1,
-    sigma_lateral_m=0.1,
-    sigma_along_m=0.3,
-)
+    Intrinsics.from_field_of_view(1000, 600, 60.0), (5.0, -3.0, 2.5), 355.0, -2.0, 1.0,
+    sigma_heading_deg=0.1, sigma_pitch_deg=0.1, sigma_lateral_m=0.1, sigma_along_m=0.3,
+)  # fmt: skip
 
 
 def level(x, y):
