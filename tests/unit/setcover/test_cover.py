@@ -26,18 +26,6 @@ def allowed(problem, chosen):
     return not forced and len(groups) == len(np.unique(groups))
 
 
-def cheapest(problem):
-    dense = problem.matrix.toarray()
-    return min(
-        (
-            problem.costs[x].sum()
-            for x in subsets(len(problem.costs))
-            if allowed(problem, x) and (dense[x].sum(axis=0) >= problem.at_least).all()
-        ),
-        default=np.inf,
-    )
-
-
 def check_feasible(problem, cover):
     chosen = np.zeros(len(problem.costs), bool)
     chosen[cover.chosen] = True
@@ -45,37 +33,6 @@ def check_feasible(problem, cover):
     assert (problem.matrix[cover.chosen].sum(axis=0) >= problem.at_least).all()
     assert cover.objective == pytest.approx(problem.costs[chosen].sum())
     assert (np.diff(cover.chosen) > 0).all()
-
-
-def random_problem(rng, most_choices=9):
-    m, n = rng.integers(1, most_choices + 1), rng.integers(0, 12)
-    costs = [np.ones(m), rng.integers(1, 6, m), rng.uniform(0.5, 3, m), rng.integers(1, 9, m) / 4]
-    groups = rng.integers(-1, 4, m) if rng.random() < 0.5 else None
-    at_least = rng.integers(0, 3, n) if rng.random() < 0.3 else rng.integers(1, 3)
-    must = rng.random(m) < 0.05
-    ban = (rng.random(m) < 0.05) & ~must
-    matrix = sparse.csr_matrix(rng.random((m, n)) < rng.uniform(0.3, 0.8))
-    return CoverProblem(matrix, costs[rng.integers(4)], groups, at_least,
-                        np.flatnonzero(must), np.flatnonzero(ban))  # fmt: skip
-
-
-def test_equals_brute_force():
-    rng = np.random.default_rng(5)
-    statuses = []
-    for _ in range(300):
-        problem = random_problem(rng)
-        cover, best = solve_cover_problem(problem), cheapest(problem)
-        statuses.append(cover.status)
-        if np.isinf(best):
-            assert cover.status == "infeasible"
-            assert len(cover.chosen) == 0
-            continue
-        assert cover.status == "optimal"
-        assert cover.objective == pytest.approx(best, rel=2e-7)
-        assert cover.bound == pytest.approx(cover.objective)
-        check_feasible(problem, cover)
-    assert statuses.count("optimal") > 100
-    assert statuses.count("infeasible") > 30
 
 
 def milp_optimum(problem):
