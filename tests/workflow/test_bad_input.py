@@ -144,7 +144,6 @@ def test_message_of_a_failed_stage_reaches_the_terminal(checkout, tmp_path):
 # Stages that know no better input.
 
 
-@pytest.mark.real
 @needs_data
 def test_cloud_without_pavement(tmp_path, capsys):
     files = {name: str(tmp_path / file) for name, file in SCENE.items()}

@@ -163,7 +163,6 @@ def test_paths_below_the_data_folder_use_its_variable(tmp_path, monkeypatch):
     assert written(tmp_path / "site.yaml")[1]["clouds"] == ["${ROADSIGHT_DATA}/x/a.laz"]
 
 
-@pytest.mark.real
 @needs_data
 @pytest.mark.parametrize(
     ("name", "crs"),

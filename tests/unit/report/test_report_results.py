@@ -46,10 +46,12 @@ class TestSights:
         assert sights.times_seen.tolist() == [1, 2, 0, 0]
         assert sights.histogram.tolist() == [2, 1, 1]
         assert sights.seen_by(0).tolist() == [0, 1]
-
-    def test_the_same_place_with_another_sensor_is_another_choice(self):
-        sights = sights_of([sensor("B", "p1")], self.seen, TARGETS)
-        assert sights.seen_by(0).tolist() == [3]
+        # Another sensor at the same place is another choice.
+        assert sights_of([sensor("B", "p1")], self.seen, TARGETS).seen_by(0).tolist() == [3]
+        assert sights_of([], self.seen, TARGETS).histogram.tolist() == [4]
+        more = pd.concat([self.seen, self.seen, detections(("A", "p1", "gone"))])
+        once = sights_of([sensor("A", "p1")], more, TARGETS)
+        assert once.times_seen.tolist() == [1, 1, 0, 0]
 
     def test_figures(self):
         sights = sights_of([sensor("A", "p1", x=3.0), sensor("A", "p2")], self.seen, TARGETS)
@@ -63,21 +65,8 @@ class TestSights:
 
     def test_sensor_that_sees_nothing(self):
         sights = sights_of([sensor("A", "p9")], self.seen, TARGETS)
-        assert sights.figures(0) == {
-            "targets": 0,
-            "only": 0,
-            "range_mean_m": None,
-            "range_max_m": None,
-        }
-
-    def test_repeated_and_foreign_rows_change_nothing(self):
-        more = pd.concat([self.seen, self.seen, detections(("A", "p1", "gone"))])
-        sights = sights_of([sensor("A", "p1")], more, TARGETS)
-        assert sights.times_seen.tolist() == [1, 1, 0, 0]
-
-    def test_no_sensor(self):
-        sights = sights_of([], self.seen, TARGETS)
-        assert sights.histogram.tolist() == [4]
+        nothing = {"targets": 0, "only": 0, "range_mean_m": None, "range_max_m": None}
+        assert sights.figures(0) == nothing
 
     def test_sensor_at_a_target_has_range_zero(self):
         sights = sights_of([sensor("A", "p1", z=0.0)], self.seen, TARGETS)
@@ -182,12 +171,6 @@ class TestProofs:
     def test_sound_plans_need_no_caution(self):
         assert plan_cautions([self.plan("A"), self.plan("B")]) == []
 
-    def test_what_stages_told_is_a_caution(self):
-        told = {"code": "few_matches", "severity": "doubt", "measured": 0.5, "limit": 0.8}
-        (caution,) = told_cautions([told | {"message": "only 1 of 2 zones lie at the site"}])
-        assert caution.level == "warning"
-        assert caution.text == "Only 1 of 2 zones lie at the site: 0.5 (limit 0.8)."
-
     def test_unproven_plan_tells_its_bounds(self):
         (caution,) = plan_cautions([self.plan("A", proven=False, bound=5.5)])
         assert caution.level == "warning"
@@ -209,11 +192,9 @@ SETTINGS = {"targets": {"cell_size_m": 1.0, "min_points": 25}}
 
 
 class TestData:
-    def test_enough_data_needs_no_caution(self):
-        assert data_cautions(2000, 90, 2050.0, SETTINGS) == []
-
-    def test_scene_without_placement_needs_no_caution(self):
-        assert data_cautions(None, None, 2050.0, SETTINGS) == []
+    @pytest.mark.parametrize("data", [(2000, 90, 2050.0), (None, None, 2050.0), (500, 50, 0.0)])
+    def test_enough_data_or_no_placement_or_area_needs_no_caution(self, data):
+        assert data_cautions(*data, SETTINGS) == []
 
     def test_each_shortage_is_named(self):
         few = data_cautions(40, 3, 400.0, SETTINGS)
@@ -225,9 +206,6 @@ class TestData:
         assert not data_cautions(500, 50, 2000.0, SETTINGS, 1990.0)
         (thin,) = data_cautions(500, 50, 2000.0, SETTINGS, 940.0)
         assert "53" in thin.text
-
-    def test_pavement_of_no_area(self):
-        assert data_cautions(500, 50, 0.0, SETTINGS) == []
 
     def test_scene_notes_are_sentences(self):
         frame = {"crs_wkt": None, "notes": ["z assumed to be in feet"]}

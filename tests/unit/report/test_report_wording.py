@@ -80,11 +80,8 @@ def test_metres():
 
 
 def test_counted():
-    assert [counted(n, "target") for n in (0, 1, 2000)] == [
-        "0 targets",
-        "1 target",
-        "2,000 targets",
-    ]
+    told = [counted(n, "target") for n in (0, 1, 2000)]
+    assert told == ["0 targets", "1 target", "2,000 targets"]
     assert counted(2, "entry", "entries") == "2 entries"
 
 
@@ -126,12 +123,8 @@ def test_label(key, shown):
 
 
 def test_lower_first_keeps_abbreviations():
-    assert [lower_first(t) for t in ("Cell", "CRS", "F1 score", "")] == [
-        "cell",
-        "CRS",
-        "F1 score",
-        "",
-    ]
+    told = [lower_first(t) for t in ("Cell", "CRS", "F1 score", "")]
+    assert told == ["cell", "CRS", "F1 score", ""]
 
 
 def test_figures_of_any_nesting():
