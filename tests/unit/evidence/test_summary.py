@@ -82,33 +82,17 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
         "sensors": {"S": {"cost": 1.0}},
         "placement": {
             "early": {
-                "status": "optimal",
-                "sensors": 2,
-                "cost": 2.5,
-                "lower_bound": 2.5,
-                "gap": 0.0,
-                "covered_targets": 9,
-                "targets": 10,
-                "candidates": 30,
-                "uncoverable_targets": 1,
-                "seconds_cpu": 5.0,
-                "proven_area_m2": 7.5,
+                "status": "optimal", "sensors": 2, "cost": 2.5, "lower_bound": 2.5, "gap": 0.0,
+                "covered_targets": 9, "targets": 10, "candidates": 30, "uncoverable_targets": 1,
+                "seconds_cpu": 5.0, "proven_area_m2": 7.5,
             },
             "late": {
-                "status": "time_limit",
-                "sensors": 2,
-                "cost": 2.5,
-                "lower_bound": 2.0,
-                "gap": 0.2,
-                "covered_targets": 9,
-                "targets": 10,
-                "candidates": 30,
-                "uncoverable_targets": 1,
-                "seconds_cpu": 4.0,
-                "proven_area_m2": 7.5,
+                "status": "time_limit", "sensors": 2, "cost": 2.5, "lower_bound": 2.0, "gap": 0.2,
+                "covered_targets": 9, "targets": 10, "candidates": 30, "uncoverable_targets": 1,
+                "seconds_cpu": 4.0, "proven_area_m2": 7.5,
             },
         },
-    }
+    }  # fmt: skip
 
 
 def test_a_job_that_was_not_asked_for_is_absent(folder):

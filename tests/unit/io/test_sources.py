@@ -44,15 +44,10 @@ def package(tmp_path, monkeypatch):
 
 def test_transitive_lazy_and_package_imports_are_found_and_others_are_not(package):
     assert stage_sources("one") == [
-        "roadsight/__init__.py",
-        "roadsight/core/__init__.py",
-        "roadsight/core/constants.py",
-        "roadsight/core/deep.py",
-        "roadsight/core/near.py",
-        "roadsight/stages/__init__.py",
-        "roadsight/stages/scene/__init__.py",
-        "roadsight/stages/scene/one.py",
-    ]
+        "roadsight/__init__.py", "roadsight/core/__init__.py", "roadsight/core/constants.py",
+        "roadsight/core/deep.py", "roadsight/core/near.py", "roadsight/stages/__init__.py",
+        "roadsight/stages/scene/__init__.py", "roadsight/stages/scene/one.py",
+    ]  # fmt: skip
 
 
 def test_another_stage_has_its_own_sources(package):

@@ -175,22 +175,11 @@ def test_solution_is_the_known_optimum(site):
     assert solution.pop("reductions") is not None
     sensors = {sensor["candidate"]: sensor for sensor in solution.pop("sensors")}
     assert solution == {
-        "site": "here",
-        "plan": "p",
-        "sensor_types": ["S"],
-        "status": "optimal",
-        "objective": 2.0,
-        "bound": 2.0,
-        "gap": 0.0,
-        "solver": "own",
-        "solver_version": version("own"),
-        "proved_by": "own",
-        "at_least": 1,
-        "targets": 6,
-        "covered_targets": 6,
-        "uncoverable_targets": 0,
-        "excluded": [],
-    }
+        "site": "here", "plan": "p", "sensor_types": ["S"], "status": "optimal", "objective": 2.0,
+        "bound": 2.0, "gap": 0.0, "solver": "own", "solver_version": version("own"),
+        "proved_by": "own", "at_least": 1, "targets": 6, "covered_targets": 6,
+        "uncoverable_targets": 0, "excluded": [],
+    }  # fmt: skip
     assert list(sensors) == ["a", "d"]
     assert [sensors[name]["targets"] for name in "ad"] == [3, 3]
     assert [sensors[name]["only"] for name in "ad"] == [3, 3]

@@ -255,14 +255,9 @@ def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_pa
     assert rate_hazard.main(arguments) == 0
     layers = dict(pyogrio.list_layers(out["layers"]))
     assert layers == {
-        "poles": "Point Z",
-        "ellipses": "Polygon",
-        "rays": "LineString",
-        "guardrails": "LineString",
-        "hazard": "Point Z",
-        "cross_sections": "LineString Z",
-        "road_geometry": "LineString Z",
-    }
+        "poles": "Point Z", "ellipses": "Polygon", "rays": "LineString", "guardrails": "LineString",
+        "hazard": "Point Z", "cross_sections": "LineString Z", "road_geometry": "LineString Z",
+    }  # fmt: skip
     for layer in layers:
         features = pyogrio.read_dataframe(out["layers"], layer=layer)
         assert features.crs.equals(CRS("EPSG:6543"))
@@ -496,12 +491,8 @@ def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objec
     layers = {name: gpd.GeoDataFrame(geometry=own) for name, own in known.items()}
     write_layers(tmp_path / "roadside.gpkg", layers, FEET)
     arguments = [
-        *on_road(site),
-        "--poles",
-        with_objects["poles"],
-        "--placed",
-        with_objects["layers"],
-    ]
+        *on_road(site), "--poles", with_objects["poles"], "--placed", with_objects["layers"],
+    ]  # fmt: skip
     arguments += ["--truth", str(site / "truth.csv"), "--out", str(tmp_path / "v.json")]
     arguments += ["--roadside", str(tmp_path / "roadside.gpkg")]
     assert validate_poles.main([*arguments, "--kinds", "pole", "tree", "guardrail"]) == 0
@@ -525,13 +516,8 @@ def test_known_things_are_compared_with_what_is_of_their_kind(site, poles, tmp_p
     table.loc[sign, "kind"] = "sign"
     write_table(tmp_path / "poles.parquet", table)
     arguments = [
-        *on_road(site),
-        "--poles",
-        str(tmp_path / "poles.parquet"),
-        "--kinds",
-        "pole",
-        "sign",
-    ]
+        *on_road(site), "--poles", str(tmp_path / "poles.parquet"), "--kinds", "pole", "sign",
+    ]  # fmt: skip
     arguments += ["--truth", str(tmp_path / "truth.csv"), "--truth-kind", kind]
     assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
     scores = read_json(tmp_path / "v.json")
@@ -608,12 +594,8 @@ def test_voxels_too_wide_to_tell_a_driveway_leave_it_unknown(
     about = {"cell_size_m": cell_m, "anchor": [0.0, 0.0, 0.0]}
     write_table(tmp_path / "voxels.parquet", pd.DataFrame(index).assign(cls=11), about)
     arguments = [
-        *on_road(site),
-        "--poles",
-        poles["poles"],
-        "--voxels",
-        str(tmp_path / "voxels.parquet"),
-    ]
+        *on_road(site), "--poles", poles["poles"], "--voxels", str(tmp_path / "voxels.parquet"),
+    ]  # fmt: skip
     arguments += ["--truth", str(site / "truth.csv"), "--kinds", "pole"]
     assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
     extraneous = read_json(tmp_path / "v.json")["scenarios"]["extraneous"]
