@@ -168,15 +168,11 @@ class Disturbed:
     def start(self) -> Run:
         return Run(
             subprocess.Popen(
-                self.checkout.command("--cores", "2", "--printshellcmds"),
-                cwd=self.checkout.folder,
-                env=self.checkout.environment() | {"PYTHONUNBUFFERED": "1"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,
+                self.checkout.command("--cores", "2", "--printshellcmds"), cwd=self.checkout.folder,
+                env=self.checkout.environment() | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True, start_new_session=True,
             )
-        )
+        )  # fmt: skip
 
     def strike(self, fault: Fault) -> bool:
         """Run until a random moment, then let the fault strike; False if there was nothing to do.

@@ -96,22 +96,13 @@ class PolesSite(ReportSite):
         status = np.where(np.arange(len(stations)) == 3, "stands still", "ok")
         self.frames = pd.DataFrame(
             {
-                "image": names,
-                "route": "40001",
-                "sequence": np.arange(len(stations)),
-                "path": names,
-                "left_path": "",
-                "right_path": "",
-                "width_px": WIDTH_PX,
-                "height_px": HEIGHT_PX,
-                "x": here[:, 0],
-                "y": here[:, 1],
-                "z_road": here[:, 2],
-                "heading_deg": azimuth_deg(here[:, :2], ahead[:, :2]),
-                "step_m": STEP_M,
+                "image": names, "route": "40001", "sequence": np.arange(len(stations)),
+                "path": names, "left_path": "", "right_path": "", "width_px": WIDTH_PX,
+                "height_px": HEIGHT_PX, "x": here[:, 0], "y": here[:, 1], "z_road": here[:, 2],
+                "heading_deg": azimuth_deg(here[:, :2], ahead[:, :2]), "step_m": STEP_M,
                 "status": status,
             }
-        )
+        )  # fmt: skip
         lost = self.frames.iloc[-1:].assign(image="lost.jpg", path="", status="has no place")
         lost[["x", "y", "z_road", "heading_deg", "step_m"]] = np.nan
         self.frames = pd.concat([self.frames, lost], ignore_index=True)

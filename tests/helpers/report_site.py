@@ -334,16 +334,13 @@ class ReportSite:
         xy = self.road(np.array([18.0, 41.0]), np.array([8.5, -9.0]))
         obstacles = gpd.GeoDataFrame(
             {
-                "sight_lines": [40, 12],
-                "targets": [31, 9],
-                "sensors": [2, 1],
+                "sight_lines": [40, 12], "targets": [31, 9], "sensors": [2, 1],
                 "target": self.targets["target"].iloc[[3, 5]].to_list(),
-                "candidate": [sensors["candidate"].iloc[0]] * 2,
-                "height_m": [2.4, 0.1],
+                "candidate": [sensors["candidate"].iloc[0]] * 2, "height_m": [2.4, 0.1],
                 "kind": ["object", "ground"],
             },
             geometry=gpd.points_from_xy(*xy.T, self.ground_m(xy) + 1),
-        )
+        )  # fmt: skip
         gaps = self.targets[self.targets["target"].isin(uncovered)]
         aside = gaps[["x", "y"]].to_numpy() + np.array([-3, 2])
         obstacle_x, obstacle_y = aside.T

@@ -31,12 +31,9 @@ sensors:
 """
 SUFFIXES = {"edges": ".gpkg", "geometry": ".gpkg", "depthmap": ".npz", "init": ".yaml"}
 CLOUD_VERBS = {
-    "ground": [],
-    "pavement": [],
-    "edges": [],
-    "geometry": ["--along", "line.gpkg"],
+    "ground": [], "pavement": [], "edges": [], "geometry": ["--along", "line.gpkg"],
     "depthmap": ["--sensor", "VLP-16", "--at", "0", "0", "0"],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -191,18 +191,13 @@ class TestStamps:
 
 
 PLACES = [
-    "if True:\n    pass\nelse:\n    {}",
-    "try:\n    {}\nfinally:\n    pass",
-    "try:\n    pass\nexcept OSError:\n    {}",
-    "try:\n    pass\nfinally:\n    {}",
+    "if True:\n    pass\nelse:\n    {}", "try:\n    {}\nfinally:\n    pass",
+    "try:\n    pass\nexcept OSError:\n    {}", "try:\n    pass\nfinally:\n    {}",
     "try:\n    pass\nexcept OSError:\n    pass\nelse:\n    {}",
-    "for _ in ():\n    pass\nelse:\n    {}",
-    "while False:\n    {}",
-    "with open('x'):\n    {}",
-    "class A:\n    def f(self):\n        {}",
-    "async def f():\n    async with g():\n        {}",
+    "for _ in ():\n    pass\nelse:\n    {}", "while False:\n    {}", "with open('x'):\n    {}",
+    "class A:\n    def f(self):\n        {}", "async def f():\n    async with g():\n        {}",
     "match 1:\n    case 1:\n        {}",
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("place", PLACES)

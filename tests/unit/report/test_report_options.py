@@ -7,14 +7,10 @@ ALTERNATIVES = {"replaceable": [2, 0], "by": [["p", "q"], []], "places": 2, "dif
 
 def plan(kind="cost", value=2.0, bound=2.0, asked=None, **rest):
     options = {
-        "asked": asked or {},
-        "goal": {"kind": kind, "value": value, "bound": bound},
-        "weight": {"seen": 75.0, "of": 100.0},
-        "failure": {"left_share": 0.5, "worst": "a"},
-        "short": {},
-        "forbidden_candidates": 0,
-        **rest,
-    }
+        "asked": asked or {}, "goal": {"kind": kind, "value": value, "bound": bound},
+        "weight": {"seen": 75.0, "of": 100.0}, "failure": {"left_share": 0.5, "worst": "a"},
+        "short": {}, "forbidden_candidates": 0, **rest,
+    }  # fmt: skip
     sensors = [{"number": 1, "candidate": "a"}, {"number": 2, "candidate": "b"}]
     return {"options": options, "sensors": sensors}
 

@@ -290,14 +290,11 @@ def test_a_share_of_the_pulses_is_what_a_sparser_survey_gives(tmp_path, timed):
     parts = [slice(0, 5000), slice(5000, 8000)]
     clouds = [
         write_las(
-            tmp_path / f"{number}.laz",
-            xyz[part],
-            UTM,
-            intensity=pulse[part],
+            tmp_path / f"{number}.laz", xyz[part], UTM, intensity=pulse[part],
             **{name: values[part] for name, values in dims.items()},
         )
         for number, part in enumerate(parts)
-    ]
+    ]  # fmt: skip
     tiles, about = run(tmp_path, clouds, pulse_share=0.25, chunk_points=333)
     kept = tiles.read(["intensity"])["intensity"]
     assert len(kept) == pytest.approx(2000, abs=160)

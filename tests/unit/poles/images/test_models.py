@@ -32,13 +32,10 @@ COLOURS = np.eye(3, dtype=np.float32)
 def write(folder: Path, network: bytes, **changes) -> Path:
     (folder / "tiny.onnx").write_bytes(network)
     content = {
-        "task": "classes",
-        "file": "tiny.onnx",
-        "input": {"colour": "BGR", "size": {"multiple_of": 4}},
-        "output": {"kind": "logits"},
-        "labels": 3,
-        "classes": {0: "road", 2: "pole"},
-    } | changes
+        "task": "classes", "file": "tiny.onnx",
+        "input": {"colour": "BGR", "size": {"multiple_of": 4}}, "output": {"kind": "logits"},
+        "labels": 3, "classes": {0: "road", 2: "pole"},
+    } | changes  # fmt: skip
     path = folder / "tiny.yaml"
     path.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
     return path

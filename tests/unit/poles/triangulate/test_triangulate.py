@@ -513,19 +513,12 @@ def test_shared_errors_of_a_table_reach_its_poles():
     gap = np.array([25.0, 6.0]) - camera
     table = pd.DataFrame(
         {
-            "image": [f"{i}.jpg" for i in range(6)],
-            "route": "r",
-            "sequence": np.arange(6),
-            "kind": "pole",
-            "x": camera[:, 0],
-            "y": camera[:, 1],
-            "bearing_grid_deg": np.degrees(np.arctan2(*gap.T)) % 360,
-            "depth_m": np.hypot(*gap.T),
-            "sigma_bearing_deg": 0.5,
-            "sigma_depth_m": 2.0,
-            "kept": True,
+            "image": [f"{i}.jpg" for i in range(6)], "route": "r", "sequence": np.arange(6),
+            "kind": "pole", "x": camera[:, 0], "y": camera[:, 1],
+            "bearing_grid_deg": np.degrees(np.arctan2(*gap.T)) % 360, "depth_m": np.hypot(*gap.T),
+            "sigma_bearing_deg": 0.5, "sigma_depth_m": 2.0, "kept": True,
         }
-    )
+    )  # fmt: skip
     nothing = {name: 0.0 for parts in SHARED_COLUMNS.values() for name in parts}
     nothing[OWN_COLUMN] = 0.1
 
