@@ -4,8 +4,8 @@ What site files, clouds and the covering alone can refuse is tested beside what 
 tests/unit.
 """
 
-import json
 import re
+from contextlib import contextmanager
 
 import cv2
 import geopandas as gpd
@@ -42,6 +42,17 @@ def clouds_site(*clouds, crs="auto"):
     return yaml.safe_dump({"site": "tiny", "clouds": [str(c) for c in clouds], "crs": crs})
 
 
+@contextmanager
+def instead(path, text):
+    """Another text in a file, for a while."""
+    before = path.read_text()
+    path.write_text(text)
+    try:
+        yield
+    finally:
+        path.write_text(before)
+
+
 # Through Snakemake itself: the message stands alone, and no job runs.
 
 
@@ -66,33 +77,22 @@ def test_misspelt_key_of_the_configuration(checkout):
 
 def test_key_that_is_twice_in_the_configuration(checkout):
     path = checkout.folder / "config/config.yaml"
-    before = path.read_text()
-    path.write_text(before + "seed: 3\n")
-    try:
+    with instead(path, path.read_text() + "seed: 3\n"):
         message = refused_by_snakemake(checkout)
-    finally:
-        path.write_text(before)
     assert re.search(r"config/config.yaml, line \d+: .* key 'seed' is there twice", message)
 
 
 def test_misspelt_setting_of_a_site(checkout):
-    site = checkout.folder / "config/sites/tiny.yaml"
-    site.write_text(TINY_SITE.replace("height_step_m", "hieght_step_m"))
-    try:
+    changed = TINY_SITE.replace("height_step_m", "hieght_step_m")
+    with instead(checkout.folder / "config/sites/tiny.yaml", changed):
         message = refused_by_snakemake(checkout)
-    finally:
-        site.write_text(TINY_SITE)
     assert "config/sites/tiny.yaml: settings: unknown key 'candidates.hieght_step_m'" in message
     assert "did you mean 'height_step_m'" in message
 
 
 def test_no_such_cloud(checkout):
-    site = checkout.folder / "config/sites/tiny.yaml"
-    site.write_text(clouds_site("none.laz"))
-    try:
+    with instead(checkout.folder / "config/sites/tiny.yaml", clouds_site("none.laz")):
         message = refused_by_snakemake(checkout)
-    finally:
-        site.write_text(TINY_SITE)
     assert "config/sites/tiny.yaml: clouds: no such cloud; found config/sites/none.laz" in message
 
 
@@ -126,12 +126,8 @@ def test_published_alignment_without_a_registered_camera(checkout):
 def test_message_of_a_failed_stage_reaches_the_terminal(checkout, tmp_path):
     cloud = write_las(tmp_path / "cut.laz", random_points(3000), UTM)
     cloud.write_bytes(cloud.read_bytes()[:-5000])
-    site = checkout.folder / "config/sites/tiny.yaml"
-    site.write_text(clouds_site(cloud))
-    try:
+    with instead(checkout.folder / "config/sites/tiny.yaml", clouds_site(cloud)):
         result = checkout.snakemake("--cores", "1", "results/tiny/scene/frame.json")
-    finally:
-        site.write_text(TINY_SITE)
     output = result.stdout + result.stderr
     assert result.returncode != 0
     lines = [line for line in output.splitlines() if "roadsight: " in line]
@@ -179,44 +175,21 @@ SCENE = {
 FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=UTM)
 
 
-@pytest.fixture
-def edges_message(tmp_path, capsys):
-    """Message on digitised edges, given as coordinates (name, vertices) in the site's CRS."""
+def test_edges_outside_the_cloud(tmp_path, capsys):
     write_json(tmp_path / "frame.json", FRAME.to_dict())
     pavement = gpd.GeoDataFrame({"area_m2": [800.0]}, geometry=[shapely.box(0, 0, 100, 8)])
     write_layers(tmp_path / "pavement.gpkg", {"pavement": pavement}, FRAME)
+    lines = [shapely.LineString(((0, 8), (100, 8))), shapely.LineString(((0, 90), (90, 90)))]
+    table = gpd.GeoDataFrame({"edge": ["left", "far"]}, geometry=lines)
+    write_layers(tmp_path / "digitised.gpkg", {"edges": table}, FRAME)
     (tmp_path / "edges.gpkg").write_text("old")
-
-    def run(*lines, name="digitised.geojson"):
-        features = [
-            {
-                "type": "Feature",
-                "properties": {"edge": edge},
-                "geometry": {"type": "LineString", "coordinates": vertices},
-            }
-            for edge, vertices in lines
-        ]
-        content = json.dumps({"type": "FeatureCollection", "features": features})
-        (tmp_path / name).write_text(content)
-        options = {"frame": "frame.json", "pavement": "pavement.gpkg", "dem": "none.tif"}
-        options |= {"digitised": name, "out": "edges.gpkg"}
-        paths = [part for n, file in options.items() for part in (f"--{n}", str(tmp_path / file))]
-        assert build_edges.main(["--site", "s", "--digitised-crs", "EPSG:25832", *paths]) == 2
-        assert (tmp_path / "edges.gpkg").read_text() == "old"
-        lines = capsys.readouterr().err.splitlines()
-        assert lines[-1].startswith("roadsight: ")
-        assert str(tmp_path / name) in lines[-1]
-        return lines[-1]
-
-    return run
-
-
-def native(*xy):
-    return FRAME.to_native(np.array(xy, float)).tolist()
-
-
-def test_edges_outside_the_cloud(edges_message):
-    message = edges_message(("left", native((0, 8), (100, 8))), ("far", native((0, 90), (90, 90))))
+    files = {"frame": "frame.json", "pavement": "pavement.gpkg", "dem": "none.tif"}
+    files |= {"digitised": "digitised.gpkg", "out": "edges.gpkg"}
+    paths = [f"--{name}={tmp_path / file}" for name, file in files.items()]
+    assert build_edges.main(["--site", "s", *paths]) == 2
+    assert (tmp_path / "edges.gpkg").read_text() == "old"
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.startswith("roadsight: ") and str(tmp_path / "digitised.gpkg") in message
     assert "edge 'far' lies outside the cloud's road" in message
     assert "found 82 m from the pavement" in message
     assert "allowed: at most 50 m" in message

@@ -82,26 +82,27 @@ def test_editing_a_module_re_runs_its_users_only(copy_of_road, change):
     assert copy_of_road.stale_rules() == copy_of_road.after(*rules.split()) | set(alone)
 
 
-def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "roadsight/stages/poles/trace_pole_axes.py")
-    assert "trace_pole_axes" in copy_of_road.stale_rules()
-    jobs = jobs_after(copy_of_road, "alignment: {landmarks: skip}")
-    assert "calibrate_drive" in jobs
-    assert "trace_pole_axes" not in jobs
-
-
-def test_skipped_ties_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "roadsight/stages/poles/match_images.py")
-    assert "match_images" in copy_of_road.stale_rules()
-    jobs = jobs_after(copy_of_road, "alignment: {ties: skip}")
-    assert "calibrate_drive" in jobs
-    assert not {"match_images", "trace_pole_axes", "segment_images"} & jobs
-
-
 def jobs_after(checkout: Checkout, setting: str) -> set[str]:
     """Rules that a setting makes stale or adds."""
     checkout.edit(SITE, "  shards: 2\n", f"  shards: 2\n  {setting}\n")
     return checkout.stale_rules()
+
+
+@pytest.mark.parametrize(
+    ("setting", "module", "rule", "absent"),
+    [
+        ("alignment: {landmarks: skip}", "stages/poles/trace_pole_axes.py", "trace_pole_axes", ""),
+        ("alignment: {ties: skip}", "stages/poles/match_images.py", "match_images",
+         "trace_pole_axes segment_images"),
+        ("effects: {terrain_occlusion: skip}", "scene/terrain/tin.py", "build_terrain", ""),
+    ],
+)  # fmt: skip
+def test_rules_of_what_is_skipped_are_not_in_the_dag(copy_of_road, setting, module, rule, absent):
+    remark(copy_of_road, f"roadsight/{module}")
+    assert rule in copy_of_road.stale_rules()
+    jobs = jobs_after(copy_of_road, setting)
+    assert "calibrate_drive" in jobs
+    assert not {rule, *absent.split()} & jobs
 
 
 def test_decisions_are_measured_and_told(finished_road):
@@ -116,14 +117,6 @@ def test_decisions_are_measured_and_told(finished_road):
     assert made["scale_factor"]["decision"] == made["sight_curvature"]["decision"] == "skip"
     assert (folder / "poles/terrain.npz").exists()
     assert not (folder / "poles/straight").exists()
-
-
-def test_skipped_terrain_is_not_triangulated(copy_of_road):
-    remark(copy_of_road, "roadsight/scene/terrain/tin.py")
-    assert "build_terrain" in copy_of_road.stale_rules()
-    jobs = jobs_after(copy_of_road, "effects: {terrain_occlusion: skip}")
-    assert "calibrate_drive" in jobs
-    assert "build_terrain" not in jobs
 
 
 def test_distorted_images_are_straightened_and_others_are_not(copy_of_road):
