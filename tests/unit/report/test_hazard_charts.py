@@ -1,5 +1,3 @@
-"""Drawings of cross-sections: which objects, to scale, and texts that do not cover each other."""
-
 import re
 
 import numpy as np
@@ -8,30 +6,20 @@ import pandas as pd
 from roadsight.report.poles.hazard_charts import MOST, hazard_profiles, profile_chart
 
 ELEMENTS = [
-    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"),
-    ("drop-off", 1.2, 1.2, -0.1, ""),
-    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"),
-    ("ditch bottom", 3.0, 3.6, 0.0, "level"),
-    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"),
-    ("level", 5.0, 12.0, 0.05, "level"),
-]
+    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"), ("drop-off", 1.2, 1.2, -0.1, ""),
+    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"), ("ditch bottom", 3.0, 3.6, 0.0, "level"),
+    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"), ("level", 5.0, 12.0, 0.05, "level"),
+]  # fmt: skip
 
 
 def table(n=3, rating="high"):
     hazard = pd.DataFrame(
         {
-            "id": [f"p{i}" for i in range(n)],
-            "kind": "pole",
-            "rank": np.arange(n, 0, -1),
-            "rating": rating,
-            "route": "SR <7>",
-            "station_m": 10.0,
-            "side": -1,
-            "offset_m": 4.0,
-            "clear_zone_m": 8.0,
-            "reasons": "4 m from the edge <b>",
+            "id": [f"p{i}" for i in range(n)], "kind": "pole", "rank": np.arange(n, 0, -1),
+            "rating": rating, "route": "SR <7>", "station_m": 10.0, "side": -1, "offset_m": 4.0,
+            "clear_zone_m": 8.0, "reasons": "4 m from the edge <b>",
         }
-    )
+    )  # fmt: skip
     rows = [(name, *element) for name in hazard["id"] for element in ELEMENTS]
     columns = ["object", "kind", "start_m", "end_m", "rise_m", "slope_ratio"]
     run = np.arange(0, 12, 0.5)

@@ -1,7 +1,3 @@
-"""Plots as SVG, and what they are made of."""
-
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from xml.etree import ElementTree

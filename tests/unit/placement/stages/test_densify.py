@@ -1,7 +1,3 @@
-"""Rounds of denser candidates: where they stand, and where their spacings stop."""
-
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -18,15 +14,8 @@ from roadsight.stages.placement import densify_candidates, place_candidates
 
 FRAME = Frame((458_000.0, 5_428_000.0, 100.0))
 SETTINGS = [
-    "--spacing-m",
-    "4",
-    "--height-min-m",
-    "4",
-    "--height-max-m",
-    "6",
-    "--height-step-m",
-    "1",
-]
+    "--spacing-m", "4", "--height-min-m", "4", "--height-max-m", "6", "--height-step-m", "1",
+]  # fmt: skip
 GAP = (20.0, 3.0)
 
 

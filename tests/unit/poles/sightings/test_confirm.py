@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -44,13 +42,10 @@ def mask_of(cls, xy=(0.0, 20.0), top=10.0, half_m=2.0):
 @pytest.mark.parametrize(
     ("cls", "answer"),
     [
-        (PixelClass.TREE, SEEN),
-        (PixelClass.BUILDING, AGAINST),
-        (PixelClass.SKY, AGAINST),
-        (PixelClass.VEHICLE, UNDECIDED),
-        (PixelClass.POLE, UNDECIDED),
+        (PixelClass.TREE, SEEN), (PixelClass.BUILDING, AGAINST), (PixelClass.SKY, AGAINST),
+        (PixelClass.VEHICLE, UNDECIDED), (PixelClass.POLE, UNDECIDED),
     ],
-)
+)  # fmt: skip
 def test_what_a_mask_shows_at_a_tree_decides(cls, answer):
     (trees,) = objects_of(pd.DataFrame([tree(0, 0.0, 20.0)]))
     assert show(CAMERA, mask_of(cls), trees, 60.0).tolist() == [answer]
@@ -78,15 +73,10 @@ def test_views_together_decide():
         [*(tree(n, 0.0, 20.0) for n in range(4)), *rail(0, 3, 8, 20), *rail(1, 3, 8, 20)]
     )
     said = [
-        ("tree", 0, "b", SEEN),
-        ("tree", 0, "a", SEEN),
-        ("tree", 0, "c", AGAINST),
-        ("tree", 1, "a", SEEN),
-        ("tree", 1, "b", AGAINST),
-        ("tree", 1, "c", AGAINST),
-        ("tree", 2, "a", UNDECIDED),
-        ("guardrail", 0, "a", UNDECIDED),
-    ]
+        ("tree", 0, "b", SEEN), ("tree", 0, "a", SEEN), ("tree", 0, "c", AGAINST),
+        ("tree", 1, "a", SEEN), ("tree", 1, "b", AGAINST), ("tree", 1, "c", AGAINST),
+        ("tree", 2, "a", UNDECIDED), ("guardrail", 0, "a", UNDECIDED),
+    ]  # fmt: skip
     seen = pd.DataFrame(said, columns=["kind", "object", "image", "answer"]).assign(route="r")
     told = confirmed(table, seen).set_index(["kind", "object"])
     assert told["kept"].to_dict() == {
