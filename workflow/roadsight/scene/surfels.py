@@ -120,6 +120,7 @@ _PAIRED = 12  # the nearest of them give planes to try: each two, with the point
 _SPACING_OF_SIXTH = 1 / 1.38  # spacing of evenly spread points over the distance of the sixth
 # Points farther apart than this carry no plane, spacings of the cloud in plan; of each doubling.
 _WIDEST = (6.0, 3.0, 3.0)
+_COARSEST = 2.0  # coarser voxels are asked up to this edge, spacings of the cloud in plan
 _BLOCK_DOUBLINGS = 6  # that spacing is a mean over blocks of 2**6 of the finest voxels, 6.4 m
 _NEAR_PLANE = 0.25  # points this near to a plane are on it, spacings; or this, for the noise:
 _NEAR_PLANE_M = 0.03
@@ -159,7 +160,8 @@ def _sparse_surfels(
         points = unpack_keys(voxels.keys) + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
         points *= voxels.edge_m
         most_m = np.zeros(len(keys))
-        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left])
+        sparse = (level == 0) | (voxels.edge_m <= _COARSEST * spacing_m[left])
+        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left] * sparse)
         planes = _agreed_planes(points, rows, most_m)
         found, alone = planes.found, np.zeros(len(left), bool)
         if level == 0:
