@@ -89,6 +89,7 @@ READERS = {
         "solve_cover",
         "find_obstacles",
         "measure_data",
+        "summarise_site",
         "write_site_page",
         "try_removals",
     },

@@ -66,7 +66,7 @@ def test_any_shift_is_found_back_along_a_curve(angle, shift_m):
 def test_lines_on_a_median_and_lines_that_keep_off_the_road_are_moved_to_the_middle(off_m):
     carriageways = MultiPolygon([box(0, 1, 200, 9), box(0, -9, 200, -1)])
     lines = [LineString([(0, y), (200, y)]) for y in off_m]
-    found = plan_shift_m(along(*lines) + [0.0, 3.5], carriageways)
+    found = plan_shift_m(np.add(along(*lines), (0, 3.5)), carriageways)
     np.testing.assert_allclose(found, (0, -3.5), atol=0.3)
 
 
@@ -108,7 +108,7 @@ def test_sensors_on_medians_poles_and_where_there_is_no_pavement_are_right():
 
 def test_the_message_says_which_way_and_reaches_the_report():
     lines = [LineString([(0, y), (200, y)]) for y in (4, -4)]
-    xy_m = along(*lines) + [0.0, 3.0]
+    xy_m = np.add(along(*lines), (0, 3))
     (doubt,) = told(xy_m, on_pavement_refused=1)
     (warning,), notes = told_cautions([doubt.to_dict()])
     assert notes == [] and "3.0 m to the south (dx +0.0, dy -3.0 m)" in warning
