@@ -102,7 +102,8 @@ def test_the_stage_hangs_sensors_on_poles_and_keeps_zones_free(tmp_path):
         ("plain", []),
         ("drawn", ["--zones", tmp_path / "zones.geojson", "--mounts", tmp_path / "mounts.geojson"]),
     ):
-        out = ["--site", "tiny", "--out", tmp_path / f"{name}.parquet"]
+        out = ["--site", "tiny", "--doubts", tmp_path / "doubts.json"]
+        out += ["--out", tmp_path / f"{name}.parquet"]
         assert place_candidates.main([str(part) for part in [*arguments, *options, *out]]) == 0
         found[name] = read_table(tmp_path / f"{name}.parquet")
     in_zone = found["plain"]["x"].between(30, 50)
