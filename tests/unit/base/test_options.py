@@ -1,3 +1,5 @@
+"""Command lines of typed functions."""
+
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
