@@ -5,8 +5,6 @@ The first call keeps the digests of all results, the figures of `make truth` and
 Digests are those of one machine: processors round differently.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

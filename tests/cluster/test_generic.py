@@ -4,8 +4,6 @@ The stand-in starts the script that it is given on this machine and prints a num
 does.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 

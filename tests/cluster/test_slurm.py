@@ -5,8 +5,6 @@ folder with ``start.sh``, ``stop.sh`` and ``slurm.conf.in`` that start and stop 
 under $DIR.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

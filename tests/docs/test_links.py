@@ -1,7 +1,5 @@
 """Links of pages as they are read in the repository, and the check of a built site."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from urllib.parse import urlsplit

@@ -1,7 +1,5 @@
 """The example notebooks run, from their first cell to the last, and say what they should."""
 
-from __future__ import annotations
-
 import json
 import re
 

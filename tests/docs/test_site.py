@@ -1,7 +1,5 @@
 """The whole site: it builds without a warning, no link is broken, nothing is fetched."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The Python of the how-to page runs as it stands."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rules of accessibility: axe-core, as a package for tests brings it."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 
 import pytest

@@ -1,7 +1,5 @@
 """A headless Chromium, driven over a pipe with its own debugging protocol: no further package."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -15,14 +13,9 @@ BINARY = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 _FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--enable-unsafe-swiftshader",
-    "--use-angle=swiftshader",
-    "--disable-background-networking",
-    "--no-first-run",
-    "--remote-debugging-pipe",
-)
+    "--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader",
+    "--disable-background-networking", "--no-first-run", "--remote-debugging-pipe",
+)  # fmt: skip
 
 _GONE = "Inspected target navigated or closed"
 

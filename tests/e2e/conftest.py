@@ -1,7 +1,5 @@
 """One browser a module, without anything remembered from another."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest
@@ -34,3 +32,17 @@ def project(studio):
     yield studio.folder
     file.write_bytes(before)
     shutil.rmtree(file.with_suffix(""), ignore_errors=True)
+
+
+@pytest.fixture
+def page(request, browser, report):
+    """A module's report in the light theme, as the module opens it."""
+    return request.module.opened(browser, report)
+
+
+@pytest.fixture(params=[False, True], ids=["light", "dark"])
+def themed(request, browser, report):
+    """A module's report in either theme."""
+    browser.set_theme(request.param)
+    yield request.module.opened(browser, report)
+    browser.set_theme(False)

@@ -1,7 +1,5 @@
 """What tests do to the studio's pages: open, keys, clicks, drags, texts and looks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")

@@ -1,7 +1,5 @@
 """A project with two small sites and finished results, and a studio that serves it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """No page of the report or the studio has a serious or critical finding of axe-core."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

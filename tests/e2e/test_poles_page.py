@@ -1,20 +1,15 @@
 """The poles' part of the report in a real browser."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import pytest
 
 from roadsight.stages.evidence import write_poles_page, write_report, write_site_page
 from tests.e2e.chromium import BINARY
+from tests.e2e.test_report_page import HELPERS, MOUSE, click, pixels, unscripted
 from tests.helpers.report_poles import PolesSite
 
 pytestmark = pytest.mark.skipif(BINARY is None, reason="no Chromium to open the report with")
-
-HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
-MOUSE = {"button": "left", "buttons": 1, "clickCount": 1}
 
 
 @pytest.fixture(scope="module")
@@ -50,30 +45,6 @@ def opened(browser, report):
     browser.until("Object.keys(colours()).length > 5 && colours()[colourOf('top-road')]")
     browser.until("shown('.strip img').every((e) => e.complete) && shown('.strip img').length")
     return browser
-
-
-@pytest.fixture
-def page(browser, report):
-    """The report in the light theme."""
-    return opened(browser, report)
-
-
-@pytest.fixture(params=[False, True], ids=["light", "dark"])
-def themed(browser, report, request):
-    """The report in either theme."""
-    browser.set_theme(request.param)
-    yield opened(browser, report)
-    browser.set_theme(False)
-
-
-def pixels(page, name):
-    """How many pixels of the map have a colour of the style sheet."""
-    return page.run(f"pixelsOf('{name}')")
-
-
-def click(page, selector, number=0):
-    page.run(f"shown('{selector}')[{number}].click()")
-    page.run("drawn()")
 
 
 def photo(page, name):
@@ -252,13 +223,6 @@ def test_page_fits_its_window_and_controls_have_names(page):
 
 
 def test_page_reads_without_scripts(browser, report, tmp_path):
-    text = report.read_text(encoding="utf-8")
-    bare = tmp_path / "bare.html"
-    bare.write_text(re.sub(r"<script>.*?</script>", "", text, flags=re.S), encoding="utf-8")
-    browser.open(bare.as_uri())
-    headings = browser.run(
-        "[...document.querySelectorAll('#site-1 h2')].filter((e) => e.checkVisibility())"
-        ".map((e) => e.textContent)"
-    )
+    headings = unscripted(browser, report, tmp_path, "#site-1")
     assert {"Alignment of the images", "Against known poles", "Roadside hazard"} <= set(headings)
     assert browser.run("document.querySelectorAll('#site-1 .chart').length") >= 8

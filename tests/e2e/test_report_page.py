@@ -1,7 +1,5 @@
 """The report in a real browser: it works from disk, offline, without a complaint."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -41,20 +39,6 @@ def report(tmp_path_factory):
     out = folder / "report.html"
     assert write_report.main(["--pages", *pages, "--runs", *runs, "--out", str(out)]) == 0
     return folder / "report.html"
-
-
-@pytest.fixture
-def page(browser, report):
-    """The report in the light theme, freshly opened."""
-    return opened(browser, report)
-
-
-@pytest.fixture(params=[False, True], ids=["light", "dark"])
-def themed(browser, report, request):
-    """The report in either theme, freshly opened."""
-    browser.set_theme(request.param)
-    yield opened(browser, report)
-    browser.set_theme(False)
 
 
 def opened(browser, report):
@@ -231,15 +215,20 @@ def test_page_fits_its_window_and_controls_have_names(page):
     assert page.run("unnamedControls()") == []
 
 
-def test_page_reads_without_scripts(browser, report, tmp_path):
+def unscripted(browser, report, tmp_path, within=""):
+    """Headings that are seen where no script runs."""
     text = report.read_text(encoding="utf-8")
     bare = tmp_path / "bare.html"
     bare.write_text(re.sub(r"<script>.*?</script>", "", text, flags=re.S), encoding="utf-8")
     browser.open(bare.as_uri())
-    headings = browser.run(
-        "[...document.querySelectorAll('h2')].filter((e) => e.checkVisibility())"
+    return browser.run(
+        f"[...document.querySelectorAll('{within} h2')].filter((e) => e.checkVisibility())"
         ".map((e) => e.textContent)"
     )
+
+
+def test_page_reads_without_scripts(browser, report, tmp_path):
+    headings = unscripted(browser, report, tmp_path)
     for title, _ in PLANS.values():
         assert f"Chosen sensors {title}" in headings
 

@@ -1,7 +1,5 @@
 """Road edges in a real browser: draw, undo, save, reload, and what the files then say."""
 
-from __future__ import annotations
-
 import json
 import re
 

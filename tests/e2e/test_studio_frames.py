@@ -1,7 +1,5 @@
 """Five million points: all of them are shown at rest, and moving stays smooth."""
 
-from __future__ import annotations
-
 import statistics
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The way from the terminal into the browser, and sites with unusual names."""
 
-from __future__ import annotations
-
 import signal
 import stat
 import time

@@ -1,7 +1,5 @@
 """Plans in a real browser: a what-if that is saved, files to take away, the editor, new sites."""
 
-from __future__ import annotations
-
 import shutil
 import time
 

@@ -1,7 +1,5 @@
 """Registration in a real browser: look, turn, click pairs, solve, save."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page Results in a real browser: what-if on a plan, and decisions on poles."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """The page Run in a real browser, with a real Snakemake on a workflow of a second."""
 
-from __future__ import annotations
-
 import json
 import sys
 

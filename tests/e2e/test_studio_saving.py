@@ -1,7 +1,5 @@
 """What the studio does where something else changes while one draws and saves."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

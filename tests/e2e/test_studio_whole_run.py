@@ -1,7 +1,5 @@
 """The real workflow on a small site, from nothing to its results, by the studio's pages alone."""
 
-from __future__ import annotations
-
 import pytest
 
 from roadsight.io.records.atomic import read_json

@@ -1,7 +1,5 @@
 """Runs of the workflow that are struck by a fault at some moment, and what they did until then."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -84,13 +82,8 @@ def memory_full(controller, running, rng):
 
 
 FAULTS: tuple[Fault, ...] = (
-    power_cut,
-    controller_killed,
-    terminated,
-    stage_killed,
-    disk_full,
-    memory_full,
-)
+    power_cut, controller_killed, terminated, stage_killed, disk_full, memory_full,
+)  # fmt: skip
 
 
 @dataclass
@@ -175,15 +168,11 @@ class Disturbed:
     def start(self) -> Run:
         return Run(
             subprocess.Popen(
-                self.checkout.command("--cores", "2", "--printshellcmds"),
-                cwd=self.checkout.folder,
-                env=self.checkout.environment() | {"PYTHONUNBUFFERED": "1"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,
+                self.checkout.command("--cores", "2", "--printshellcmds"), cwd=self.checkout.folder,
+                env=self.checkout.environment() | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True, start_new_session=True,
             )
-        )
+        )  # fmt: skip
 
     def strike(self, fault: Fault) -> bool:
         """Run until a random moment, then let the fault strike; False if there was nothing to do.

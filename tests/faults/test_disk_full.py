@@ -4,8 +4,6 @@ The disk is full for a process when its file may not grow beyond a limit (RLIMIT
 in the middle, as they do on a full disk, with EFBIG instead of ENOSPC.
 """
 
-from __future__ import annotations
-
 import resource
 from contextlib import contextmanager
 from unittest.mock import patch
@@ -131,22 +129,11 @@ def json_file(path):
 
 
 WRITERS = {
-    "table.parquet": table,
-    "depth.parquet": depth_maps,
-    "cloud.parquet": tiles,
-    "waiting.parquet": waiting_tiles,
-    "voxels.parquet": voxels,
-    "dem.tif": raster,
-    "top.tif": top,
-    "layers.gpkg": layers,
-    "poles.geojson": geojson,
-    "scans.laz": laz,
-    "terrain.npz": terrain,
-    "masks.zip": images,
-    "images.zip": jpegs,
-    "poles.csv": csv,
-    "page.json": json_file,
-}
+    "table.parquet": table, "depth.parquet": depth_maps, "cloud.parquet": tiles,
+    "waiting.parquet": waiting_tiles, "voxels.parquet": voxels, "dem.tif": raster, "top.tif": top,
+    "layers.gpkg": layers, "poles.geojson": geojson, "scans.laz": laz, "terrain.npz": terrain,
+    "masks.zip": images, "images.zip": jpegs, "poles.csv": csv, "page.json": json_file,
+}  # fmt: skip
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """The workflow is struck at random moments and resumed: nothing is lost, nothing differs."""
 
-from __future__ import annotations
-
 import os
 import shutil
 

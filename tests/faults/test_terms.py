@@ -1,7 +1,5 @@
 """TERM ends a run at whatever moment it comes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -90,13 +88,9 @@ def test_no_run_hangs(tmp_path):
         folder.mkdir()
         (folder / "Snakefile").write_text(SNAKEFILE)
         run = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+            command, cwd=folder, env=environment, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
         until = time.monotonic() + HANGS_AFTER_S
         while not (folder / ".snakemake" / "log").is_dir() and time.monotonic() < until:
             time.sleep(0.02)

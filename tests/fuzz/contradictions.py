@@ -1,7 +1,5 @@
 """Valid files with one contradiction each, beside the clean file that they are compared with."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -9,6 +7,8 @@ import laspy
 import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from pyproj import CRS
+
+from tests.helpers.las_files import patched
 
 ZONES = (25831, 25832, 25833)
 KEYS = 34735
@@ -44,19 +44,15 @@ def contradicted_cloud(path: Path, kind: str, rng: np.random.Generator) -> None:
         las.header.vlrs[0].string = f'COMPD_CS["x",{las.header.vlrs[0].string}]'
     las.write(str(path))
     if kind == "count in the old place":
-        patch(path, (247, "<Q", 0), (107, "<I", 40))
+        patched(path, (247, "<Q", 0), (107, "<I", 40))
     elif kind == "no count":
-        patch(path, (247, "<Q", 0), (107, "<I", 0))
+        patched(path, (247, "<Q", 0), (107, "<I", 0))
 
 
 KINDS = (
-    "stale keys",
-    "stale keys, no bit",
-    "stale record 4224",
-    "one part",
-    "count in the old place",
+    "stale keys", "stale keys, no bit", "stale record 4224", "one part", "count in the old place",
     "no count",
-)
+)  # fmt: skip
 
 
 def keys_of(values: dict[int, int]) -> laspy.VLR:
@@ -64,13 +60,6 @@ def keys_of(values: dict[int, int]) -> laspy.VLR:
     entries = [(1, 1, 0, len(values)), *((key, 0, 1, value) for key, value in values.items())]
     data = struct.pack(f"<{4 * len(entries)}H", *np.ravel(entries))
     return laspy.VLR("LASF_Projection", KEYS, "", data)
-
-
-def patch(path: Path, *fields: tuple[int, str, int]) -> None:
-    data = bytearray(path.read_bytes())
-    for at, layout, value in fields:
-        struct.pack_into(layout, data, at, value)
-    path.write_bytes(data)
 
 
 def table(rng: np.random.Generator) -> tuple[str, bytes]:

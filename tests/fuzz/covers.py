@@ -12,12 +12,13 @@ DTYPES = (
     "float16", "float32", "float64",
 )  # fmt: skip
 LAYOUTS = ("dense", "coo", "csr", "csc", "repeated coo", "repeated csr", "unsorted csr")
+GOALS = ("cover", "budget", "price", "overlap")
 COSTS = ("ones", "whole", "fractions", "mixed", "mixed whole", "nearly equal")
 
 
-def costs_of(rng, kind, choices):
+def costs_of(rng, kind, choices, span=12):
     """Positive costs; those of one size in a unit of 1e-12 to 1e12."""
-    unit = 10.0 ** rng.integers(-12, 13)
+    unit = 10.0 ** rng.integers(-span, span + 1)
     return {
         "ones": lambda: np.full(choices, unit),
         "whole": lambda: rng.integers(1, 9, choices) * unit,
@@ -97,19 +98,22 @@ def least_cost(problem, covers):
     return float((fine @ problem.costs).min(initial=np.inf))
 
 
-def posed_deployment(rng, goal=None):
-    """A deployment of up to 8 choices and 12 targets with one of four aims, in any units."""
-    goal = goal or ["cover", "budget", "price", "overlap"][rng.integers(4)]
+def posed_deployment(rng, goal=None, span=12):
+    """A deployment of up to 8 choices and 12 targets with one of four aims, in any units.
+
+    Without a span costs and weights are of one size.
+    """
+    goal = goal or GOALS[rng.integers(4)]
     choices, targets = rng.integers(2, 9), rng.integers(1, 13)
     seen = rng.random((choices, targets)) < rng.uniform(0.2, 0.7)
-    costs = costs_of(rng, COSTS[rng.integers(len(COSTS))], choices)
-    unit = 10.0 ** rng.integers(-12, 13)
+    costs = costs_of(rng, COSTS[rng.integers(len(COSTS) if span else 3)], choices, span)
+    unit = 10.0 ** rng.integers(-span, span + 1)
     kinds = [
         np.full(targets, unit),
         rng.integers(0, 4, targets) * unit,
         10.0 ** rng.uniform(-6, 6, targets),
     ]
-    weights = kinds[rng.integers(3)]
+    weights = kinds[rng.integers(3 if span else 2)]
     must = rng.random(choices) < 0.04
     problem = CoverProblem(
         seen,
@@ -137,8 +141,8 @@ def posed_deployment(rng, goal=None):
     return Deployment(problem, weights, cliques=cliques, keep=keep, charge=costs, **aims[goal])
 
 
-def least_objective(deployment):
-    """Objective of the best of all subsets, and how near to it a proof has to be."""
+def objectives(deployment):
+    """Objective of each subset, infinite where it is not allowed, and its guaranteed coverage."""
     problem, weights = deployment.problem, np.asarray(deployment.weights)
     matrix, need = problem.matrix.toarray().astype(int), problem.at_least
     every = subsets(len(problem.costs))
@@ -158,8 +162,18 @@ def least_objective(deployment):
         fine &= (count >= need).all(axis=1)
         least = max(least, weights[need > 0].sum())
     fine &= value >= least * (1 - 1e-9)
-    objective = np.where(fine, every @ deployment.cost - deployment.worth * value, np.inf)
-    best, shift = objective.min(), deployment.worth * weights[need > 0].sum()
+    return np.where(fine, every @ deployment.cost - deployment.worth * value, np.inf), value
+
+
+def number(chosen):
+    """Row of some choices among all subsets."""
+    return int((1 << np.asarray(chosen, np.int64)).sum())
+
+
+def least_objective(deployment):
+    """Objective of the best of all subsets, and how near to it a proof has to be."""
+    best, weights = objectives(deployment)[0].min(), np.asarray(deployment.weights)
+    shift = deployment.worth * weights[deployment.problem.at_least > 0].sum()
     full = shift if deployment.cost.any() else 0.0
     return best, 1.01 * NEAR * abs(best + full) + 1e-12 * (abs(best) + shift)
 

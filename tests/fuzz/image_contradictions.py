@@ -1,7 +1,5 @@
 """Valid images whose storage or size contradicts what they show, beside the clean image."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path
@@ -13,6 +11,7 @@ from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image, image_facts
 from roadsight.io.images.image_shards import LabelImages
 from roadsight.poles.images.networks import LabelMap, folder_mask
+from tests.helpers.tagged_images import chunk, exif_of, tagged
 
 KINDS = ("bits", "palette", "orientation", "smaller", "sideways", "stretched")
 _LABELS = LabelMap(labels=4, classes={0: "road", 1: "pole", 2: "sky", 3: "sign"})
@@ -69,10 +68,6 @@ def png(pixels: np.ndarray, depth: int, palette: bool, rng) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*one) for one in chunks)
 
 
-def chunk(name: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-
-
 def _check_orientation(rows: int, columns: int, rng) -> None:
     """An image that is stored turned, with the orientation that turns it back, is as the clean."""
     image_format, orientation = str(rng.choice(_FORMATS)), int(rng.integers(1, 9))
@@ -80,7 +75,8 @@ def _check_orientation(rows: int, columns: int, rng) -> None:
     grey = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
     clean = np.repeat(grey[..., None], 3, axis=2)
     order = str(rng.choice(["<", ">"]))
-    content = tagged(image_format, laid(clean, orientation), orientation, order, rng)
+    exif = exif_of(orientation, order)
+    content = tagged(image_format, laid(clean, orientation), orientation, exif, rng)
     facts = image_facts(content)
     assert (facts.height_px, facts.width_px) == (rows, columns), (image_format, orientation)
     assert facts.complete
@@ -100,53 +96,6 @@ def laid(image: np.ndarray, orientation: int) -> np.ndarray:
     if orientation in (3, 4, 7, 8):
         image = image[::-1]
     return np.ascontiguousarray(np.swapaxes(image, 0, 1) if orientation >= 5 else image)
-
-
-def exif_of(orientation: int, order: str) -> bytes:
-    """A TIFF directory of the orientation alone."""
-    entry = struct.pack(order + "HHIHH", 0x0112, 3, 1, orientation, 0)
-    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
-    return head + struct.pack(order + "H", 1) + entry + bytes(4)
-
-
-def tagged(image_format: str, image: np.ndarray, orientation: int, order: str, rng) -> bytes:
-    """An image file with an orientation where its format keeps it."""
-    exif = exif_of(orientation, order)
-    options = {".tif": [cv2.IMWRITE_TIFF_COMPRESSION, int(rng.choice([1, 5, 8]))]}
-    options[".webp"] = [cv2.IMWRITE_WEBP_QUALITY, int(rng.choice([95, 101]))]
-    content = cv2.imencode(image_format, image, options.get(image_format, []))[1].tobytes()
-    if image_format == ".jpg":
-        data = b"Exif\0\0" + exif
-        mark = b"\xff\xe1" + struct.pack(">H", len(data) + 2) + data
-        at = 4 + struct.unpack_from(">H", content, 4)[0] if rng.integers(2) else 2
-        return content[:at] + mark + content[at:]
-    if image_format == ".png":
-        at = 33 if rng.integers(2) else len(content) - 12
-        return content[:at] + chunk(b"eXIf", exif) + content[at:]
-    if image_format == ".webp":
-        return _webp(content, image.shape, exif)
-    return _tiff(content, orientation)
-
-
-def _webp(content: bytes, shape: tuple[int, ...], exif: bytes) -> bytes:
-    sides = b"".join((side - 1).to_bytes(3, "little") for side in (shape[1], shape[0]))
-    data = b"Exif\0\0" + exif if len(exif) % 2 else exif
-    body = b"WEBPVP8X" + struct.pack("<I", 10) + b"\x08\0\0\0" + sides + content[12:]
-    body += b"EXIF" + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2)
-    return b"RIFF" + struct.pack("<I", len(body)) + body
-
-
-def _tiff(content: bytes, orientation: int) -> bytes:
-    """The directory with the orientation, written anew at the end of the file."""
-    (start,) = struct.unpack_from("<I", content, 4)
-    (count,) = struct.unpack_from("<H", content, start)
-    old = [content[start + 2 + 12 * k : start + 14 + 12 * k] for k in range(count)]
-    new = [entry for entry in old if struct.unpack_from("<H", entry)[0] != 0x0112]
-    new.append(struct.pack("<HHIHH", 0x0112, 3, 1, orientation, 0))
-    new.sort(key=lambda entry: struct.unpack_from("<H", entry)[0])
-    at = len(content) + len(content) % 2
-    directory = struct.pack("<H", len(new)) + b"".join(new) + bytes(4)
-    return content[:4] + struct.pack("<I", at) + content[8:].ljust(at - 8, b"\0") + directory
 
 
 def _check_size(kind: str, rng) -> None:

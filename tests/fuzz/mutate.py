@@ -1,7 +1,5 @@
 """Seeded damage to the bytes of a file."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every reader of outside files: valid files to start from, and what reads them."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """Files that contradict themselves give the answer of the clean file, a note, or one message."""
 
-from __future__ import annotations
-
 import logging
 import os
 

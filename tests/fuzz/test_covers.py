@@ -14,11 +14,18 @@ from roadsight.setcover.plans.alternatives import most_different, replacements
 from roadsight.setcover.plans.curve import coverage_curve
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.whole import PUBLISHED_GAP, solve_whole, verify
-from tests.fuzz.covers import least_cost, least_objective, posed, posed_deployment
+from tests.fuzz.covers import (
+    least_cost,
+    least_objective,
+    number,
+    objectives,
+    posed,
+    posed_deployment,
+)
 
 STEPS = {"ones", "whole"}
 """Kinds of cost with a step, whose proofs are exact but for rounding."""
-FULL_PLANS = [pytest.param(3_000, marks=pytest.mark.full), 40]
+FULL_PLANS = [pytest.param(3_000, marks=pytest.mark.full), 120]
 FULL = [pytest.param(20_000, marks=pytest.mark.full), 1_500]
 
 
@@ -100,13 +107,22 @@ def check_curve(seed):
     budgets = np.linspace(cheap, deployment.charge.sum(), 4).tolist()
     if math.isinf(least_objective(replace(deployment, budget=cheap))[0]):
         return
-    points = coverage_curve(deployment, budgets)
-    assert [point.budget for point in points] == sorted(set(budgets))
-    for point in points:
-        best, room = least_objective(replace(deployment, budget=point.budget))
-        assert point.status == "optimal"
-        assert point.value == pytest.approx(-best, abs=room)
-        assert point.bound >= -best - room
+    for limit in (None, 0.0):
+        points = coverage_curve(deployment, budgets, limit)
+        assert [point.budget for point in points] == sorted(set(budgets))
+        for name in ("value", "bound"):
+            told = [getattr(point, name) for point in points]
+            assert told == sorted(told)
+        for point in points:
+            now = replace(deployment, budget=point.budget)
+            best, room = least_objective(now)
+            assert point.value - room <= -best <= point.bound + room
+            assert point.spent <= point.budget * (1 + 1e-12)
+            found = objectives(now)[0][number(point.chosen)]
+            assert point.value == pytest.approx(-found, abs=room)
+            if limit is None:
+                assert point.status == "optimal"
+                assert point.value == pytest.approx(-best, abs=room)
 
 
 def check_alternatives(seed):

@@ -4,8 +4,6 @@ What a number of a reader's damaged files shows is repeated by
 ``python -m tests.fuzz.worker READER NUMBER 1 /tmp``.
 """
 
-from __future__ import annotations
-
 import os
 import selectors
 import subprocess

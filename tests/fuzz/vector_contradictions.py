@@ -1,7 +1,5 @@
 """Valid vector layers with one contradiction each, beside the lines that they stand for."""
 
-from __future__ import annotations
-
 import json
 import logging
 import warnings
@@ -35,13 +33,10 @@ _UNDEFINED = (
     'AXIS["x",unspecified],AXIS["y",unspecified],LENGTHUNIT["metre",1]]'
 )
 _PLACES = (
-    ("EPSG:32632", 500_000.0, 5_400_000.0),
-    ("EPSG:32617", 620_000.0, 3_950_000.0),
-    ("EPSG:32756", 334_000.0, 6_252_000.0),
-    ("EPSG:32633", 420_000.0, 30_000.0),
-    ("EPSG:2193", 1_750_000.0, 5_920_000.0),
-    ("EPSG:5070", -500_000.0, 1_800_000.0),
-)
+    ("EPSG:32632", 500_000.0, 5_400_000.0), ("EPSG:32617", 620_000.0, 3_950_000.0),
+    ("EPSG:32756", 334_000.0, 6_252_000.0), ("EPSG:32633", 420_000.0, 30_000.0),
+    ("EPSG:2193", 1_750_000.0, 5_920_000.0), ("EPSG:5070", -500_000.0, 1_800_000.0),
+)  # fmt: skip
 """CRS and origin of sites on several continents, on both sides of the equator."""
 _LOG = logging.getLogger("roadsight.fuzz")
 

@@ -1,7 +1,5 @@
 """Tables of one drive as spreadsheets and recording computers write them, beside the clean one."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
@@ -127,19 +125,12 @@ def _recorded(name: str, rng) -> str:
     return str(
         rng.choice(
             [
-                name,
-                f"C:\\data\\{windows}",
-                f"\\\\server\\share\\{windows}",
-                f"/data/2024/{name}",
-                f"D:/video log/{name}",
-                windows,
-                name.upper(),
-                name.replace(".jpg", ""),
-                f"./{name}",
-                f" {name} ",
+                name, f"C:\\data\\{windows}", f"\\\\server\\share\\{windows}", f"/data/2024/{name}",
+                f"D:/video log/{name}", windows, name.upper(), name.replace(".jpg", ""),
+                f"./{name}", f" {name} ",
             ]
         )
-    )
+    )  # fmt: skip
 
 
 def _text(table: pd.DataFrame, other: bool, rng) -> bytes:

@@ -4,8 +4,6 @@
 and ``bad NUMBER REASON`` for what should not be.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import resource

@@ -1,7 +1,5 @@
 """Every case of the catalogue, and that the catalogue covers every stage that computes."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A level plane with boxes on it, and targets that are traced one ray at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from roadsight.placement.sensors.rays import beam_directions

@@ -3,8 +3,6 @@
 Everything is exact: places without noise, pinholes without distortion, classes without errors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Open3D, where it can be loaded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -5,8 +5,6 @@ judges them by their content, so that kernels of one checkout fit another that h
 in folders of other names.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

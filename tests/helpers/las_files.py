@@ -1,7 +1,5 @@
 """Small LAS and LAZ files for the tests of ingest."""
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path
@@ -14,7 +12,12 @@ from laspy.vlrs.known import WktCoordinateSystemVlr
 from pyproj import CRS
 
 DATA = Path(os.environ.get("ROADSIGHT_DATA", "/nonexistent"))
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="ROADSIGHT_DATA is not set")
+
+
+def needs_data(test):
+    """A test of the real data sets, skipped where there are none."""
+    absent = pytest.mark.skipif(not DATA.is_dir(), reason="ROADSIGHT_DATA is not set")
+    return pytest.mark.real(absent(test))
 
 
 def random_points(count, seed=0, extent=(120.0, 80.0, 12.0), corner=(458000.0, 5428000.0, 100.0)):
@@ -37,6 +40,15 @@ def write_las(path, xyz, wkt=None, point_format=6, version="1.4", scale=0.001, o
     for name, values in dims.items():
         las[name] = np.broadcast_to(values, len(xyz))
     las.write(str(path))
+    return path
+
+
+def patched(path, *fields):
+    """A file with numbers at some places: (place, layout, value)."""
+    data = bytearray(path.read_bytes())
+    for at, layout, value in fields:
+        struct.pack_into(layout, data, at, value)
+    path.write_bytes(data)
     return path
 
 

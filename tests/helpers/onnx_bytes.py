@@ -1,7 +1,5 @@
 """Tiny ONNX networks as bytes, so that tests need no package that writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An orthophoto of the generated sites."""
 
-from __future__ import annotations
-
 import numpy as np
 import rasterio
 

@@ -1,7 +1,5 @@
 """A small site's poles job as the workflow leaves it on disk: a curved road and its poles."""
 
-from __future__ import annotations
-
 import json
 
 import cv2
@@ -98,22 +96,13 @@ class PolesSite(ReportSite):
         status = np.where(np.arange(len(stations)) == 3, "stands still", "ok")
         self.frames = pd.DataFrame(
             {
-                "image": names,
-                "route": "40001",
-                "sequence": np.arange(len(stations)),
-                "path": names,
-                "left_path": "",
-                "right_path": "",
-                "width_px": WIDTH_PX,
-                "height_px": HEIGHT_PX,
-                "x": here[:, 0],
-                "y": here[:, 1],
-                "z_road": here[:, 2],
-                "heading_deg": azimuth_deg(here[:, :2], ahead[:, :2]),
-                "step_m": STEP_M,
+                "image": names, "route": "40001", "sequence": np.arange(len(stations)),
+                "path": names, "left_path": "", "right_path": "", "width_px": WIDTH_PX,
+                "height_px": HEIGHT_PX, "x": here[:, 0], "y": here[:, 1], "z_road": here[:, 2],
+                "heading_deg": azimuth_deg(here[:, :2], ahead[:, :2]), "step_m": STEP_M,
                 "status": status,
             }
-        )
+        )  # fmt: skip
         lost = self.frames.iloc[-1:].assign(image="lost.jpg", path="", status="has no place")
         lost[["x", "y", "z_road", "heading_deg", "step_m"]] = np.nan
         self.frames = pd.concat([self.frames, lost], ignore_index=True)
@@ -254,21 +243,13 @@ class PolesSite(ReportSite):
         placed = self.true_poles[rows] + self.rng.normal(0, [1.2, 1.2, 0.1], (len(rows), 3))
         self.poles = pd.DataFrame(
             {
-                "id": [f"p{n:03d}" for n in range(len(rows))],
-                "kind": "pole",
-                "x": placed[:, 0],
-                "y": placed[:, 1],
-                "z": placed[:, 2],
-                "score": [len(images) for images in shown],
-                "sigma_major_m": 1.5,
-                "sigma_minor_m": 0.4,
-                "sigma_azimuth_deg": 40.0,
-                "images": [";".join(images) for images in shown],
-                "routes": "40001",
-                "kept": True,
+                "id": [f"p{n:03d}" for n in range(len(rows))], "kind": "pole", "x": placed[:, 0],
+                "y": placed[:, 1], "z": placed[:, 2], "score": [len(images) for images in shown],
+                "sigma_major_m": 1.5, "sigma_minor_m": 0.4, "sigma_azimuth_deg": 40.0,
+                "images": [";".join(images) for images in shown], "routes": "40001", "kept": True,
                 "reason": "",
             }
-        )
+        )  # fmt: skip
         if self.frame.crs_wkt is not None:
             latitude, longitude = SiteNorth(self.frame).to_geographic(placed)
             self.poles["latitude"], self.poles["longitude"] = latitude, longitude
@@ -337,15 +318,11 @@ class PolesSite(ReportSite):
         ]
         ablation = [
             {
-                "component": component,
-                "images_accepted": 40,
-                "poles": 9,
-                "mean_error_m": 3.25,
-                "f1_3m": 0.5,
-                "f1_6m": None,
+                "component": component, "images_accepted": 40, "poles": 9, "mean_error_m": 3.25,
+                "f1_3m": 0.5, "f1_6m": None,
             }
             for component in ("side_views", "occlusion", "my <own>")
-        ]
+        ]  # fmt: skip
         content = {
             "truth": {"within_reach": len(apart), "out_of_reach": 2, "reach_m": 25.0},
             "thresholds": thresholds,

@@ -1,7 +1,5 @@
 """A small site as the workflow leaves it on disk: a curved road, sensors on both sides of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -166,17 +164,12 @@ class ReportSite:
     def _scene_arguments(self):
         sensors = PROJECT / "config" / "sensors.yaml"
         named = {
-            "site": self.name,
-            "title": self.title,
-            "sensors": sensors,
-            "summary": self.path("summary.json"),
-            "frame": self.path("scene/frame.json"),
-            "cloud": self.path("scene/cloud.parquet"),
-            "dem": self.path("scene/dem.tif"),
+            "site": self.name, "title": self.title, "sensors": sensors,
+            "summary": self.path("summary.json"), "frame": self.path("scene/frame.json"),
+            "cloud": self.path("scene/cloud.parquet"), "dem": self.path("scene/dem.tif"),
             "pavement": self.path("scene/pavement.gpkg"),
-            "edges": self.path("placement/edges.gpkg"),
-            "out": self.path("page.json"),
-        }
+            "edges": self.path("placement/edges.gpkg"), "out": self.path("page.json"),
+        }  # fmt: skip
         return [part for key, value in named.items() for part in (f"--{key}", str(value))]
 
     # Placement
@@ -242,19 +235,11 @@ class ReportSite:
                 key = f"{edge}-s{station:06.1f}"
                 rows += [
                     (
-                        f"{key}-h{h:04.1f}",
-                        key,
-                        edge,
-                        "edge",
-                        station,
-                        *xy,
-                        ground + h,
-                        h,
-                        ground,
+                        f"{key}-h{h:04.1f}", key, edge, "edge", station, *xy, ground + h, h, ground,
                         heading,
                     )
                     for h in (4.0, 6.0, 8.0)
-                ]
+                ]  # fmt: skip
         names = ["candidate", "key", "edge", "mount", "station_m", "x", "y", "z", "height_m"]
         return pd.DataFrame(rows, columns=[*names, "ground_z_m", "yaw_deg"])
 
@@ -349,30 +334,23 @@ class ReportSite:
         xy = self.road(np.array([18.0, 41.0]), np.array([8.5, -9.0]))
         obstacles = gpd.GeoDataFrame(
             {
-                "sight_lines": [40, 12],
-                "targets": [31, 9],
-                "sensors": [2, 1],
+                "sight_lines": [40, 12], "targets": [31, 9], "sensors": [2, 1],
                 "target": self.targets["target"].iloc[[3, 5]].to_list(),
-                "candidate": [sensors["candidate"].iloc[0]] * 2,
-                "height_m": [2.4, 0.1],
+                "candidate": [sensors["candidate"].iloc[0]] * 2, "height_m": [2.4, 0.1],
                 "kind": ["object", "ground"],
             },
             geometry=gpd.points_from_xy(*xy.T, self.ground_m(xy) + 1),
-        )
+        )  # fmt: skip
         gaps = self.targets[self.targets["target"].isin(uncovered)]
         aside = gaps[["x", "y"]].to_numpy() + np.array([-3, 2])
         obstacle_x, obstacle_y = aside.T
         explained = gpd.GeoDataFrame(
             {
-                "target": gaps["target"].to_list(),
-                "reason": "hidden",
-                "nearest_m": 12.5,
-                "blocked_share": 0.875,
-                "obstacle_x": obstacle_x,
-                "obstacle_y": obstacle_y,
+                "target": gaps["target"].to_list(), "reason": "hidden", "nearest_m": 12.5,
+                "blocked_share": 0.875, "obstacle_x": obstacle_x, "obstacle_y": obstacle_y,
             },
             geometry=gpd.points_from_xy(gaps["x"], gaps["y"], gaps["z"]),
-        )
+        )  # fmt: skip
         objects = gpd.GeoDataFrame(
             {"name": ["tree-1"], "kind": ["tree"], "targets": [31.0]},
             geometry=gpd.points_from_xy(*xy[:1].T, self.ground_m(xy[:1]) + 1),
@@ -382,12 +360,8 @@ class ReportSite:
 
     def _summary(self, placed):
         scores = {
-            "accuracy": 0.951,
-            "precision": 0.94,
-            "recall": 0.982,
-            "f1": 0.9605,
-            "points": 800,
-        }
+            "accuracy": 0.951, "precision": 0.94, "recall": 0.982, "f1": 0.9605, "points": 800,
+        }  # fmt: skip
         summary = {
             "site": self.name,
             "version": "0.1.0",

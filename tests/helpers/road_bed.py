@@ -5,8 +5,6 @@ lane whose position is known to about a metre and whose camera sways; edge pixel
 and clutter; LiDAR edges snapped to a raster.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

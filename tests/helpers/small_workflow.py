@@ -1,7 +1,5 @@
 """A project whose workflow takes a second: four steps and one that joins them."""
 
-from __future__ import annotations
-
 import shutil
 
 from tests.conftest import PROJECT
@@ -57,11 +55,18 @@ rule join_steps:
 SITE = "site: small\ntitle: Small\njobs: [scene]\nclouds: [road.laz]\n"
 
 
-def small_project(folder):
-    """Write the project into a folder, and return the folder."""
+def without_sites(folder):
+    """Write a project that has the configuration, no site and no rule, and return its folder."""
     ignored = shutil.ignore_patterns("sites")
     shutil.copytree(ROOT / "config", folder / "config", ignore=ignored, dirs_exist_ok=True)
     (folder / "config" / "sites").mkdir()
+    (folder / "Snakefile").touch()
+    return folder
+
+
+def small_project(folder):
+    """Write the project into a folder, and return the folder."""
+    without_sites(folder)
     (folder / "config" / "config.yaml").write_text("sites: [small]\n")
     (folder / "config" / "sites" / "small.yaml").write_text(SITE)
     (folder / "Snakefile").write_text(SNAKEFILE)

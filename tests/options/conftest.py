@@ -1,7 +1,5 @@
 """Two small sites, run once for all levels and verbs."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.options.registry import Finished

@@ -1,7 +1,5 @@
 """Runs of the levels of the scene and the placement, on a finished street of 48 m."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

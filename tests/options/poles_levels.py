@@ -1,7 +1,5 @@
 """Runs of the levels of the pole job and of generated samples, on a finished lane with poles."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -4,8 +4,6 @@ A new level fails `test_every_level_has_a_run` until a run takes it: add it to t
 of its field, or write a function that runs its stage and looks at the answer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Every level that the schema offers: of each `Literal` and each switch, by section and field."""
 
-from __future__ import annotations
-
 import types
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 

@@ -1,7 +1,5 @@
 """Every level of every option of the schema runs through its stage and gives a sane answer."""
 
-from __future__ import annotations
-
 import pytest
 
 from roadsight.base.errors import InputError

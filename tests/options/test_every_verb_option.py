@@ -1,7 +1,5 @@
 """Every option of every verb takes part in a real call that succeeds."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re
@@ -187,12 +185,9 @@ def _write_views(files: Path, finished: Finished) -> None:
     table[inside].assign(image=camera["image"]).to_csv(files / "pairs.csv", index=False)
     size = f"{LENS.width_px}x{LENS.height_px}"
     mount = {
-        "focal_px": LENS.focal_px,
-        "height_m": 2.3,
-        "pitch_deg": -2.5,
-        "roll_deg": 0.3,
+        "focal_px": LENS.focal_px, "height_m": 2.3, "pitch_deg": -2.5, "roll_deg": 0.3,
         "yaw_deg": 0.8,
-    }
+    }  # fmt: skip
     (files / "baseline.json").write_text(json.dumps({size: mount}))
     about = {"fx_px": [LENS.focal_px], "cx_px": [LENS.cx_px], "cy_px": [LENS.cy_px]}
     pd.DataFrame(about).to_csv(files / "lens.csv", index=False)

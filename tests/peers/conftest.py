@@ -1,7 +1,5 @@
 """Open3D, where it can be loaded."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.helpers.engines import needs_open3d

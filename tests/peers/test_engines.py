@@ -1,7 +1,5 @@
 """Each step gives the same by Open3D as by ourselves, up to rounding."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Open3D computes the same descriptors: another team's implementation of the same definition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

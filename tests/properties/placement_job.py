@@ -135,7 +135,7 @@ class PlacementJob(StageCalls):
         spacing = ("--spacing-m", "11", "--height-step-m", "3")
         self._stage("place_candidates", *site, *spacing, edges="edges.gpkg",
                     pavement="pavement.gpkg", dem="dem.tif", cloud="cloud", frame="frame",
-                    out="candidates")  # fmt: skip
+                    doubts="placed", out="candidates")  # fmt: skip
         self._stage("place_targets", "--width-m", "0.5", pavement="points",
                     outline="pavement.gpkg", frame="frame", out="targets")  # fmt: skip
         for shard in reversed(range(self.shards)):

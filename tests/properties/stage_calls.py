@@ -1,7 +1,5 @@
 """Stages called in this process on files of one folder, and called again with other options."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The whole placement job on a tiny street that is moved, turned, shuffled, in feet, in tiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

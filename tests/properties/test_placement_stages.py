@@ -5,8 +5,6 @@ moves in the map keeps its cells, and a scene that is turned does not. Where cel
 move by whole cells, or state how much may change.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """The whole pole job on a tiny lane that is moved, turned, mirrored, shuffled, in feet or tiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

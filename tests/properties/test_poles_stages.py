@@ -1,7 +1,5 @@
 """Stages of the pole job: moving, turning, mirroring and shuffling a drive changes no pole."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from hypothesis import HealthCheck, given, settings
@@ -15,8 +13,6 @@ from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.kinds import PixelClass
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.risk.roads import RouteTracks
-from roadsight.poles.triangulate.explain import triangulate
-from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 from roadsight.scene.terrain.tin import triangulate as make_terrain
 from roadsight.scene.voxel_classes import (
@@ -26,22 +22,13 @@ from roadsight.scene.voxel_classes import (
     seen_from_above,
     settle,
 )
+from tests.helpers.pole_street import found, street
 from tests.helpers.rated_poles import rate_poles
 
 SEEDS = st.integers(0, 2**31)
 ANGLES = st.floats(-180.0, 180.0)
 FAR = st.tuples(*[st.integers(-5_000_000, 5_000_000)] * 2)
 FEW = settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
-FINE = UNAIDED.model_copy(
-    update={
-        "sigma_position_m": 0.3,
-        "sigma_bearing_deg": 0.5,
-        "sigma_depth_ratio": 0.2,
-        "calibrate_depth": False,
-    }
-)
-
-
 RULES = Hazard(design_speed_kmh=80, aadt=3000, dense_per_km=35.0)
 """Density off the whole tens that a window of 100 m gives."""
 
@@ -50,25 +37,6 @@ def moves(angle_deg, mirror):
     """Matrix (2, 2) that turns counter-clockwise, after mirroring left and right if asked."""
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     return np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([-1.0 if mirror else 1.0, 1.0])
-
-
-def street(seed, poles=6):
-    """Rows x, y, bearing, depth, image: what cameras every 8 m see of poles within 24 m."""
-    rng = np.random.default_rng(seed)
-    truth = np.column_stack([20.0 * np.arange(1, poles + 1), rng.choice([-6.0, 7.0], poles)])
-    rows = []
-    for image, x in enumerate(np.arange(0, 20 * poles + 20, 8.0)):
-        gap = truth - [x, 0.0]
-        depth = np.hypot(*gap.T)
-        for k in np.flatnonzero((gap[:, 0] > 2) & (depth < 24)):
-            bearing = np.degrees(np.arctan2(*gap[k])) + rng.normal(0, 0.2)
-            rows.append((x, 0.0, bearing, depth[k] * np.exp(rng.normal(0, 0.05)), image))
-    return np.array(rows)
-
-
-def poles_of(rows):
-    image = rows[:, 4].astype(int)
-    return triangulate(make_rays(rows[:, :2], rows[:, 2], rows[:, 3], image=image), FINE)[0]
 
 
 def paired(first, second):
@@ -80,18 +48,18 @@ def paired(first, second):
 @FEW
 @given(seed=SEEDS, angle=ANGLES, mirror=st.booleans(), far=FAR)
 def test_poles_move_turn_and_mirror_with_the_cameras(seed, angle, mirror, far):
-    """To a millimetre, also 5,000 km away; errors, scores and reasons alike."""
-    rows, move = street(seed), moves(angle, mirror)
+    """To a hundredth of a millimetre, also 5,000 km away; errors, scores and reasons alike."""
+    rows, move = street(seed, 6, 0.2, 0.05)[1], moves(angle, mirror)
     shift = np.array(far) + 0.5
     there = rows.copy()
     there[:, :2] = rows[:, :2] @ move.T + shift
     way = np.column_stack([np.sin(np.radians(rows[:, 2])), np.cos(np.radians(rows[:, 2]))])
     there[:, 2] = np.degrees(np.arctan2(*(way @ move.T).T))
-    here, moved = poles_of(rows), poles_of(there)
+    here, moved = found(rows), found(there)
     assert len(here) == len(moved) > 0
     expected = here[["x", "y"]].to_numpy() @ move.T + shift
     moved = moved.iloc[paired(expected, moved[["x", "y"]].to_numpy())].reset_index(drop=True)
-    np.testing.assert_allclose(moved[["x", "y"]], expected, atol=1e-3)
+    np.testing.assert_allclose(moved[["x", "y"]], expected, rtol=0, atol=1e-5)
     for name in ("sigma_major_m", "sigma_minor_m", "condition"):
         np.testing.assert_allclose(moved[name], here[name], rtol=1e-4)
     for name in ("score", "kept", "reason"):
@@ -102,10 +70,10 @@ def test_poles_move_turn_and_mirror_with_the_cameras(seed, angle, mirror, far):
 @given(seed=SEEDS)
 def test_poles_do_not_depend_on_the_order_or_repeats_of_sightings(seed):
     rng = np.random.default_rng(seed)
-    rows = street(seed)
+    rows = street(seed, 6, 0.2, 0.05)[1]
     again = np.concatenate([rows, rows[rng.integers(0, len(rows), 9)]])
-    here = poles_of(rows)
-    pd.testing.assert_frame_equal(poles_of(rng.permutation(again)), here)
+    here = found(rows)
+    pd.testing.assert_frame_equal(found(rng.permutation(again)), here, check_exact=True)
 
 
 @FEW
@@ -119,6 +87,8 @@ def test_headings_turn_and_mirror_with_the_track(seed, angle, mirror, far):
     sign = -1.0 if mirror else 1.0
     for here, moved in zip(headings_deg(xy), headings_deg(there), strict=True):
         assert np.abs(wrap_deg(moved - (sign * here - angle))).max() < 1e-4
+    backwards = headings_deg(xy[::-1])[0][::-1]
+    assert np.abs(wrap_deg(backwards - headings_deg(xy)[0] - 180)).max() < 1e-6
 
 
 def scene_image(seed):

@@ -1,7 +1,5 @@
 """The placement study as published, by its configuration file, from a cloud to its obstacles."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

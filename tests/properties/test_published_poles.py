@@ -1,7 +1,5 @@
 """The pole job as published, by `config/published.yaml`, on a small lane to its end."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

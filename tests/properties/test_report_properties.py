@@ -1,7 +1,5 @@
 """What holds for any content of the report."""
 
-from __future__ import annotations
-
 import base64
 import json
 

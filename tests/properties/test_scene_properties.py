@@ -1,7 +1,5 @@
 """What must not change the result: where the scene lies, its units, the order of its points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import re
 import shutil
 import subprocess
@@ -40,18 +42,6 @@ settings:
 """
 
 
-def with_followers(readers: dict[str, set[str]], *rules: str) -> set[str]:
-    """The rules and everything that reads what they write, directly or not."""
-    found: set[str] = set()
-    pending = list(rules)
-    while pending:
-        rule = pending.pop()
-        if rule not in found:
-            found.add(rule)
-            pending += readers[rule]
-    return found
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests of one finished site run beside each other, so that it is run once."""
@@ -76,12 +66,9 @@ class Checkout:
     def copy_to(cls, folder: Path, site: str = "tiny") -> Checkout:
         """Copy every tracked or new file of the project, but nothing that it generated."""
         listed = subprocess.run(
-            ["git", "ls-files", "-co", "--exclude-standard"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.splitlines()
+            ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True,
+            text=True, check=True,
+        ).stdout.splitlines()  # fmt: skip
         for name in listed:
             source, target = ROOT / name, folder / name
             if not source.exists() and not source.is_symlink():
@@ -105,14 +92,9 @@ class Checkout:
     def snakemake(self, *arguments: str, timeout_s: float = 3600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
         return subprocess.run(
-            self.command(*arguments),
-            cwd=self.folder,
-            env=self.environment(),
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
+            self.command(*arguments), cwd=self.folder, env=self.environment(), capture_output=True,
+            text=True, timeout=timeout_s, check=False,
+        )  # fmt: skip
 
     def command(self, *arguments: str) -> list[str]:
         """Command line of Snakemake on the small site."""
@@ -139,6 +121,29 @@ class Checkout:
             return set()
         table = output.split("Job stats:")[1].split("total")[0]
         return set(re.findall(r"^(\w+) +\d+$", table, re.MULTILINE)) - {"all", "job"}
+
+    def records(self) -> dict[str, dict]:
+        """What Snakemake noted of each file's step: its rule, its inputs, its command."""
+        folder = self.folder / ".snakemake/metadata"
+        return {
+            base64.b64decode("".join(path.relative_to(folder).parts).replace("@", "")).decode():
+            json.loads(path.read_text())
+            for path in folder.rglob("*") if path.is_file()
+        }  # fmt: skip
+
+    def after(self, *rules: str) -> set[str]:
+        """The rules and all that read what they wrote in the last run, directly or not."""
+        records = self.records()
+        reads = {
+            (records[name]["rule"], record["rule"])
+            for record in records.values()
+            for name in record["input"]
+            if name in records
+        }
+        found = set(rules)
+        while more := {reader for writer, reader in reads if writer in found} - found:
+            found |= more
+        return found
 
     def edit(self, name: str, old: str, new: str) -> None:
         """Replace a text that must be there."""

@@ -1,7 +1,5 @@
 """The benchmarks run: what they say is measured, and no program of theirs fails unseen."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

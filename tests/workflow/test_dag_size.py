@@ -1,7 +1,5 @@
 """What a list of jobs costs grows with the jobs alone: counted in steps, whatever else runs."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -57,14 +55,9 @@ def steps(checkout: Checkout, shards: int) -> dict:
     overrides = json.dumps({"shards": shards, "coverage": {"shards": shards}})
     named = ["--config", "sites=[tiny]", f"overrides={overrides}"]
     result = subprocess.run(
-        [sys.executable, "-c", COUNTED, "-n", *named],
-        cwd=checkout.folder,
-        env=checkout.environment(),
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=True,
-    )
+        [sys.executable, "-c", COUNTED, "-n", *named], cwd=checkout.folder,
+        env=checkout.environment(), capture_output=True, text=True, timeout=600, check=True,
+    )  # fmt: skip
     return json.loads(result.stdout.splitlines()[-1])
 
 

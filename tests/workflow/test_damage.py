@@ -3,8 +3,6 @@
 A changed input is noticed too, whether it changes between two runs or during one.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -51,13 +49,9 @@ def read_tif(path):
 
 
 READERS = {
-    ".parquet": read_parquet,
-    ".zip": read_zip,
-    ".json": read_json,
-    ".tif": read_tif,
-    ".npz": read_terrain,
-    ".gpkg": read_gpkg,
-}
+    ".parquet": read_parquet, ".zip": read_zip, ".json": read_json, ".tif": read_tif,
+    ".npz": read_terrain, ".gpkg": read_gpkg,
+}  # fmt: skip
 
 
 def intermediate_results(checkout):

@@ -1,7 +1,5 @@
 """What `snakemake -n` says of effects: rules of skipped ones are absent, simulated ones present."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

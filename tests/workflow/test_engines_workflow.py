@@ -1,7 +1,5 @@
 """A whole job by Open3D comes to the same as by ourselves."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

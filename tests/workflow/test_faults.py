@@ -1,7 +1,5 @@
 """Each kind of fault strikes once, in one of the jobs; tests/faults has the long run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.faults.disturb import FAULTS, Disturbed, check_same, digests

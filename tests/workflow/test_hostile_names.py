@@ -1,7 +1,5 @@
 """File names and texts of a user reach programs as they are, and never a shell."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -107,15 +105,11 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
             "baseline": evil["baseline"],
         },
         truth={
-            "pavement": evil["truth"],
-            "pavement_crs": CRS_TEXT,
-            "poles": evil["truth"],
-            "poles_crs": CRS_TEXT,
-            "poles_kind": TEXT,
-            "cameras": evil["truth"],
+            "pavement": evil["truth"], "pavement_crs": CRS_TEXT, "poles": evil["truth"],
+            "poles_crs": CRS_TEXT, "poles_kind": TEXT, "cameras": evil["truth"],
             "intrinsics": evil["truth"],
         },
-    )
+    )  # fmt: skip
     sensors_file = f"sensors_file=config/sites/{evil['sensors']}"
     result = checkout.snakemake("-n", "-p", "--config", "sites=[tiny]", sensors_file)
     assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]

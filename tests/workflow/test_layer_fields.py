@@ -1,7 +1,5 @@
 """Every field of every layer for people, read back against geometry and what it was made from."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from functools import cached_property
@@ -342,15 +340,12 @@ def check_all_objects(site: Results, local: gpd.GeoDataFrame, _: gpd.GeoDataFram
 
 
 OF_PLANS = {
-    ("solution.gpkg", "sensors"): check_sensors,
-    ("solution.gpkg", "targets"): check_targets,
-    ("data.gpkg", "sensors"): check_data_sensors,
-    ("data.gpkg", "targets"): check_data_targets,
+    ("solution.gpkg", "sensors"): check_sensors, ("solution.gpkg", "targets"): check_targets,
+    ("data.gpkg", "sensors"): check_data_sensors, ("data.gpkg", "targets"): check_data_targets,
     ("tolerance.gpkg", "targets"): check_tolerance,
-    ("obstacles.gpkg", "obstacles"): check_obstacles,
-    ("obstacles.gpkg", "objects"): check_objects,
+    ("obstacles.gpkg", "obstacles"): check_obstacles, ("obstacles.gpkg", "objects"): check_objects,
     ("obstacles.gpkg", "uncovered"): check_uncovered,
-}
+}  # fmt: skip
 OF_SITE = {
     ("scene/pavement.gpkg", "pavement"): check_area,
     ("placement/unexamined.gpkg", "unexamined"): check_area,

@@ -1,7 +1,5 @@
 """Options of plans through the workflow: what they make stale, and what comes of them."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """Every field of every layer of poles, read back on a site in US feet with heights above NAVD88."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

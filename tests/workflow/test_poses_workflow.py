@@ -1,7 +1,5 @@
 """Sensors in poses: their rules enter the DAG only where a plan or a setting asks for them."""
 
-from __future__ import annotations
-
 from tests.workflow.test_layer_fields import check_posed
 
 SCENE = {"ingest_cloud", "build_dem", "extract_pavement", "build_surfels", "place_candidates"}

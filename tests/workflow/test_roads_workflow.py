@@ -1,7 +1,5 @@
 """Routes, an inventory and barriers of a user through the whole pole job."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

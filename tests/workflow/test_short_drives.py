@@ -1,7 +1,5 @@
 """A drive of fewer images than shards, with default settings, through the whole workflow."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

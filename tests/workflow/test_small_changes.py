@@ -1,7 +1,5 @@
 """Change this -> so many steps, and so many depth maps: a small change is a small run."""
 
-from __future__ import annotations
-
 import re
 
 import geopandas as gpd
@@ -12,8 +10,6 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_geojson
-from tests.workflow.conftest import with_followers
-from tests.workflow.test_staleness import READERS
 
 SITE = "config/sites/tiny.yaml"
 
@@ -38,7 +34,8 @@ def beside_edges(checkout, line):
     checkout.edit(SITE, "  edges: sample\n", f"  edges: sample\n  {line}\n")
 
 
-AFTER_DETECTION = {"check_coverage"} | with_followers(READERS, "solve_cover")
+def after_detection(checkout):
+    return {"check_coverage"} | checkout.after("solve_cover")
 
 
 class TestNothingIsRendered:
@@ -59,12 +56,12 @@ class TestNothingIsRendered:
                 SITE, "  shards: 2\n", "  shards: 2\n  mounting: {mast_cost: 1}\n"
             )
         listed = {"match_inputs"} if change != "mounting" else set()
-        assert copy_of_finished.stale_rules() == AFTER_DETECTION | listed
+        assert copy_of_finished.stale_rules() == after_detection(copy_of_finished) | listed
 
     def test_where_a_price_changes(self, copy_of_finished):
         before = "  OS1-32: {like: OS1-64,"
         copy_of_finished.edit("config/sensors.yaml", before, f"{before} cost: 2,")
-        assert copy_of_finished.stale_rules() == with_followers(READERS, "solve_cover")
+        assert copy_of_finished.stale_rules() == copy_of_finished.after("solve_cover")
 
 
 def taken_over(checkout):

@@ -1,7 +1,5 @@
 """What is drawn and saved in the studio makes exactly what depends on it stale."""
 
-from __future__ import annotations
-
 import re
 
 from roadsight.studio.drawing import Drawing, load_drawing, save_drawing
@@ -9,10 +7,7 @@ from roadsight.studio.drive_views import SiteDrive
 from roadsight.studio.pole_review import Decision, review, save_decisions
 from roadsight.studio.project import Project
 from roadsight.studio.registering import PoseBody, save_correction
-from tests.workflow.conftest import with_followers
-from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
-from tests.workflow.test_small_changes import AFTER_DETECTION
-from tests.workflow.test_staleness import READERS
+from tests.workflow.test_small_changes import after_detection
 
 
 def saved(checkout, monkeypatch, **layers):
@@ -30,16 +25,15 @@ def test_saved_edges_make_the_edges_and_what_follows_stale(copy_of_finished, mon
     edges = drawn(copy_of_finished, monkeypatch)["edges"]
     edges[0]["points"][1][0] += 0.5
     assert "config/sites/tiny/edges.geojson" in saved(copy_of_finished, monkeypatch, edges=edges)
-    assert copy_of_finished.stale_rules() == with_followers(READERS, "build_edges") | {
-        "match_inputs"
-    }
+    expected = copy_of_finished.after("build_edges") | {"match_inputs"}
+    assert copy_of_finished.stale_rules() == expected
 
 
 def test_saved_zones_make_the_covers_and_what_follows_stale(copy_of_finished, monkeypatch):
     x, y = drawn(copy_of_finished, monkeypatch)["edges"][0]["points"][0]
     zone = {"name": "z", "points": [[x, y], [x + 9, y], [x + 9, y + 9], [x, y + 9]]}
     saved(copy_of_finished, monkeypatch, zones=[zone])
-    assert copy_of_finished.stale_rules() == AFTER_DETECTION | {"match_inputs"}
+    assert copy_of_finished.stale_rules() == after_detection(copy_of_finished) | {"match_inputs"}
     saved(copy_of_finished, monkeypatch, zones=[])
     assert copy_of_finished.stale_rules() == set()
 
@@ -64,7 +58,7 @@ def test_decisions_on_poles_make_the_poles_and_what_follows_stale(copy_of_road, 
     x, y = pole["base"]
     asked = Decision(decision="reject", kind=pole["kind"], x=x, y=y, pole=pole["id"])
     save_decisions(project, "tiny_road", [asked])
-    assert copy_of_road.stale_rules() == with_followers(ROAD_READERS, "triangulate_poles")
+    assert copy_of_road.stale_rules() == copy_of_road.after("triangulate_poles")
     result = copy_of_road.snakemake("--cores", "2", "results/tiny_road/poles/hazard.parquet")
     assert result.returncode == 0, result.stdout + result.stderr
     found = next(one for one in review(project.site("tiny_road"))["poles"] if one["decision"] == 0)

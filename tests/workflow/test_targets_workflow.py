@@ -1,7 +1,5 @@
 """Cars as targets, past traffic, seen by sensors together: through the workflow."""
 
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd

@@ -1,7 +1,5 @@
 """``robust: tolerance`` through the workflow, recomputed from beams and surfels one by one."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

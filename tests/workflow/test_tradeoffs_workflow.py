@@ -1,7 +1,5 @@
 """`snakemake tradeoffs` on a tiny site: the sweep, its table and its page."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """A variant runs what its change touches, shares the rest and leaves its base alone."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 
@@ -12,7 +10,6 @@ from roadsight.base.texts import read_yaml
 from roadsight.config.load import load_config
 from roadsight.evidence.variants import Variant, VariantError, mirror_site
 from tests.workflow.conftest import Checkout
-from tests.workflow.test_staleness import after
 
 SOLUTION = "placement/os-64/solution.json"
 
@@ -48,7 +45,7 @@ def test_a_change_runs_what_depends_on_it_and_nothing_else(in_base: Checkout, tm
     before = digests(in_base)
     variant = prepared(in_base, tmp_path / "variant", {"targets": {"cell_size_m": 2.0}})
     ran = variant.run([SOLUTION])
-    expected = after("place_targets") - {
+    expected = in_base.after("place_targets") - {
         "find_obstacles", "render_scans", "measure_data", "summarise_site", "write_site_page",
         "write_report", "write_pdf", "write_handover", "write_stakeout", "measure_tolerance",
         "try_removals",

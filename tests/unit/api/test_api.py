@@ -1,7 +1,3 @@
-"""The Python API: examples run, arrays, clouds and paths give the same, parts work alone."""
-
-from __future__ import annotations
-
 import doctest
 import importlib
 import inspect

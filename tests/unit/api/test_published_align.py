@@ -1,7 +1,3 @@
-"""`roadsight align --method published` on a small drive, and what it refuses before any work."""
-
-from __future__ import annotations
-
 import cv2
 import laspy
 import numpy as np
@@ -45,14 +41,9 @@ def drive(tmp_path_factory):
 def test_cameras_from_a_registered_one(drive):
     labels = str(drive / "labels")
     cameras = roadsight.align(
-        drive / "drive.csv",
-        drive / "road.las",
-        labels,
-        masks=labels,
-        crs="local",
-        method="published",
-        baseline=str(drive / "baseline.json"),
-    )
+        drive / "drive.csv", drive / "road.las", labels, masks=labels, crs="local",
+        method="published", baseline=str(drive / "baseline.json"),
+    )  # fmt: skip
     assert len(cameras) == 5
     assert cameras["accepted"].all()
     np.testing.assert_allclose(cameras["fx_px"], 320 / np.tan(np.radians(65.2 / 2)))

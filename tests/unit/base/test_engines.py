@@ -1,7 +1,3 @@
-"""Who asks for Open3D where it is missing is told what to install, before any work."""
-
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from pathlib import Path

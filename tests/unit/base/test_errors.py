@@ -1,36 +1,29 @@
-from __future__ import annotations
+import pytest
 
 from roadsight.base.errors import InputError, nearest
 
 
-def test_message_tells_where_what_found_allowed_and_hint_in_this_order():
-    error = InputError(
-        "slope is too steep", where="site a", found=3, allowed="at most 2", hint="lower it"
-    )
-    assert str(error) == "site a: slope is too steep; found 3; allowed: at most 2; lower it."
+@pytest.mark.parametrize(
+    ("message", "details", "told"),
+    [
+        (
+            "slope is too steep",
+            {"where": "site a", "found": 3, "allowed": "at most 2", "hint": "lower it"},
+            "site a: slope is too steep; found 3; allowed: at most 2; lower it.",
+        ),
+        ("no points.", {}, "no points."),
+        ("no points; ", {"hint": "check the file."}, "no points; check the file."),
+        ("no 'slop'", {"hint": nearest("slop", ["slope"])}, "no 'slop'; did you mean 'slope'?"),
+        ("too few", {"found": 0, "allowed": "1"}, "too few; found 0; allowed: 1."),
+        ("wrong", {"found": False}, "wrong; found False."),
+    ],
+)
+def test_a_message_is_one_sentence_with_its_details_in_order(message, details, told):
+    assert str(InputError(message, **details)) == told
 
 
-def test_message_without_details_is_one_sentence_with_one_full_stop():
-    assert str(InputError("no points.")) == "no points."
-    assert str(InputError("no points; ", hint="check the file.")) == "no points; check the file."
-
-
-def test_a_question_needs_no_full_stop():
-    assert str(InputError("unknown key 'slop'", hint=nearest("slop", ["slope"]))) == (
-        "unknown key 'slop'; did you mean 'slope'?"
-    )
-
-
-def test_falsy_values_found_are_still_told():
-    assert "found 0;" in str(InputError("too few", found=0, allowed="at least 1"))
-    assert "found False" in str(InputError("wrong", found=False))
-
-
-def test_nearest_names_the_closest_word():
+def test_nearest_names_the_closest_word_or_all_in_order():
     assert nearest("slop", ["slope", "pillar_width_m"]) == "did you mean 'slope'?"
-
-
-def test_nearest_lists_all_words_in_order_when_none_is_close():
     assert nearest("xyz", ["b", "a"]) == "valid names: a, b"
 
 

@@ -1,5 +1,3 @@
-"""The script that compares results before and after code moves."""
-
 import json
 
 import pytest

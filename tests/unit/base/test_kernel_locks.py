@@ -1,7 +1,3 @@
-"""Steps that start together compile a kernel once."""
-
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

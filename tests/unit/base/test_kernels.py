@@ -1,7 +1,3 @@
-"""Parts of kernels have no wrapper for Python, so that Python must not call them."""
-
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

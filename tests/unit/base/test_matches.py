@@ -1,5 +1,3 @@
-"""Lists that match nothing, a few, or all."""
-
 import logging
 
 import pytest

@@ -1,7 +1,5 @@
 """Command lines of typed functions."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,3 @@
-"""The plan of the house: imports run down, folders stay small, chapters have the same names."""
-
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,3 @@
-"""How items are shared out among shards."""
-
-from __future__ import annotations
-
 import uuid
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The verb `roadsight accept` on a planned street written by hand."""
-
 import json
 
 import geopandas as gpd

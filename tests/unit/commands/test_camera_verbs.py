@@ -1,5 +1,3 @@
-"""``roadsight align`` and ``roadsight register`` on a small generated drive."""
-
 import io
 import json
 from contextlib import redirect_stdout
@@ -16,7 +14,7 @@ from roadsight.io.images.image_shards import LabelImages
 from roadsight.stages.scene import generate_rural, render_videolog
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.videolog import random_drives
-from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
+from tests.helpers.tagged_images import gps_jpeg, jpeg
 
 LENGTH = ["--length-m", "160", "--seed", "2"]
 FOOT_M = 1200 / 3937

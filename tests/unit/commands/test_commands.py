@@ -1,7 +1,3 @@
-"""The verbs of ``roadsight`` on a small generated cloud, its truth and bad input."""
-
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -11,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-import yaml
 
 from roadsight.__main__ import COMMANDS, main
 from roadsight.base.sections.scene import Edges
@@ -35,12 +30,9 @@ sensors:
 """
 SUFFIXES = {"edges": ".gpkg", "geometry": ".gpkg", "depthmap": ".npz", "init": ".yaml"}
 CLOUD_VERBS = {
-    "ground": [],
-    "pavement": [],
-    "edges": [],
-    "geometry": ["--along", "line.gpkg"],
+    "ground": [], "pavement": [], "edges": [], "geometry": ["--along", "line.gpkg"],
     "depthmap": ["--sensor", "VLP-16", "--at", "0", "0", "0"],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -402,16 +394,6 @@ def test_waveforms_are_left_out_and_told_once(point_format, tmp_path, caplog, rn
     assert (written.intensity == 7).all()
 
 
-def test_init_writes_a_site_file(sample, tmp_path, capsys):
-    out = tmp_path / "site.yaml"
-    assert main(["init", str(sample / "cloud.laz"), "-o", str(out), "--site", "My Road"]) == 0
-    content = yaml.safe_load(out.read_text())
-    assert content["site"] == "my_road"
-    assert content["crs"] == "auto"
-    assert content["clouds"] == [str(sample / "cloud.laz")]
-    assert capsys.readouterr().out.startswith(f"wrote {out}\n")
-
-
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_help(verb, capsys):
     with pytest.raises(SystemExit) as stop:
@@ -480,12 +462,8 @@ def test_bad_clouds(verb, kind, tmp_path, capsys):
     cloud = bad_cloud(kind, tmp_path / "in")
     out = tmp_path / "out" / "result"
     argv = [
-        verb,
-        cloud,
-        "-o",
-        out.with_suffix(SUFFIXES.get(verb, ".laz")),
-        *CLOUD_VERBS.get(verb, []),
-    ]
+        verb, cloud, "-o", out.with_suffix(SUFFIXES.get(verb, ".laz")), *CLOUD_VERBS.get(verb, []),
+    ]  # fmt: skip
     message = refused(argv, tmp_path / "out", capsys)
     assert str(cloud) in message
 
@@ -507,16 +485,6 @@ def test_sensor_out_of_reach(sample, place, tmp_path, capsys):
     assert "out of reach" in message
     assert "within 30 m" in message
     assert "--at" in refused([*argv, "nan", 0, 0], tmp_path, capsys)
-
-
-def test_init_keeps_an_existing_file_without_force(sample, tmp_path, capsys):
-    out = tmp_path / "site.yaml"
-    out.write_text("mine")
-    message = refused(["init", sample / "cloud.laz", "-o", out], tmp_path, capsys)
-    assert "exists already" in message
-    assert "--force" in message
-    assert main(["init", str(sample / "cloud.laz"), "-o", str(out), "--force"]) == 0
-    assert out.read_text() != "mine"
 
 
 def test_outputs_of_another_kind_are_refused(sample, place, tmp_path, capsys):

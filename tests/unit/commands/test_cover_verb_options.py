@@ -1,5 +1,3 @@
-"""Options of the verb `roadsight cover` on a matrix whose answers are plain to see."""
-
 import itertools
 import json
 

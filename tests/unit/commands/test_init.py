@@ -1,7 +1,3 @@
-"""``roadsight init``: what the starter file says for clouds of different quality."""
-
-from __future__ import annotations
-
 import argparse
 
 import numpy as np
@@ -37,14 +33,18 @@ def written(path):
     return text, content
 
 
+def started(folder, cloud, *options):
+    """Text and content of the site file of a cloud."""
+    run(cloud, "-o", folder / "site.yaml", *options)
+    return written(folder / "site.yaml")
+
+
 def test_starter_file_of_a_good_cloud(tmp_path, capsys):
     classes = np.repeat([2, 6, 26, 7], [300, 100, 99, 1])
     cloud = write_las(
         tmp_path / "My Road (1).laz", random_points(500), UTM, classification=classes, intensity=5
     )
-    out = tmp_path / "site.yaml"
-    run(cloud, "-o", out)
-    text, content = written(out)
+    text, content = started(tmp_path, cloud)
     assert content == {
         "site": "my_road_1",
         "title": "My Road (1)",
@@ -69,7 +69,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "Intensity: yes. Colour: no.",
     ):
         assert part in text
-    assert capsys.readouterr().out.startswith(f"wrote {out}\n")
+    assert capsys.readouterr().out.startswith(f"wrote {tmp_path / 'site.yaml'}\n")
 
 
 def test_extent_and_density_are_in_metres_whatever_the_unit(tmp_path):
@@ -88,9 +88,7 @@ def test_extent_and_density_are_in_metres_whatever_the_unit(tmp_path):
 
 
 def test_cloud_without_crs_must_be_filled_in(tmp_path, capsys):
-    out = tmp_path / "site.yaml"
-    run(write_las(tmp_path / "a.laz", random_points(50)), "-o", out)
-    text, content = written(out)
+    text, content = started(tmp_path, write_las(tmp_path / "a.laz", random_points(50)))
     assert content["crs"] is None
     assert "# Required: EPSG code" in text
     assert "units of the cloud" in text
@@ -98,9 +96,9 @@ def test_cloud_without_crs_must_be_filled_in(tmp_path, capsys):
 
 
 def test_header_that_cannot_be_right_must_be_filled_in(tmp_path, capsys):
-    out = tmp_path / "site.yaml"
-    run(write_las(tmp_path / "a.laz", random_points(50), wkt_of("EPSG:28992")), "-o", out)
-    text, content = written(out)
+    text, content = started(
+        tmp_path, write_las(tmp_path / "a.laz", random_points(50), wkt_of("EPSG:28992"))
+    )
     assert content["crs"] is None
     assert "cannot be right" in text
     assert "fill in crs" in capsys.readouterr().out
@@ -108,18 +106,19 @@ def test_header_that_cannot_be_right_must_be_filled_in(tmp_path, capsys):
 
 def test_us_metres_need_a_vertical_unit(tmp_path, capsys):
     xyz = random_points(50, corner=(638750, 221750, 100))
-    out = tmp_path / "site.yaml"
-    run(write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:32119")), "-o", out)
-    _, content = written(out)
+    _, content = started(tmp_path, write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:32119")))
     assert content["crs"] == "auto"
     assert "fill in vertical_units" in capsys.readouterr().out
 
 
 def test_degrees_get_a_projected_crs(tmp_path):
     xyz = random_points(50, extent=(0.002, 0.002, 9), corner=(9.0, 50.0, 100.0))
-    out = tmp_path / "site.yaml"
-    run(write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:4979"), scale=1e-8), "-o", out)
-    assert written(out)[1]["target_crs"] == "EPSG:32632"
+    assert (
+        started(tmp_path, write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:4979"), scale=1e-8))[1][
+            "target_crs"
+        ]
+        == "EPSG:32632"
+    )
 
 
 def test_an_existing_file_is_kept_without_force(tmp_path):
@@ -163,20 +162,16 @@ def test_paths_below_the_data_folder_use_its_variable(tmp_path, monkeypatch):
     (tmp_path / "data" / "x").mkdir(parents=True)
     monkeypatch.setenv("ROADSIGHT_DATA", str(tmp_path / "data"))
     cloud = write_las(tmp_path / "data" / "x" / "a.laz", random_points(5), UTM)
-    run(cloud, "-o", tmp_path / "site.yaml")
-    assert written(tmp_path / "site.yaml")[1]["clouds"] == ["${ROADSIGHT_DATA}/x/a.laz"]
+    assert started(tmp_path, cloud)[1]["clouds"] == ["${ROADSIGHT_DATA}/x/a.laz"]
 
 
-@pytest.mark.real
 @needs_data
 @pytest.mark.parametrize(
     ("name", "crs"),
     [("autzen_arterial", "auto"), ("montpellier_street", "auto"), ("nc_unit_trap", None)],
 )
 def test_real_clouds(tmp_path, name, crs):
-    out = tmp_path / "site.yaml"
-    run(DATA / "clouds" / f"{name}.laz", "-o", out)
-    _, content = written(out)
+    _, content = started(tmp_path, DATA / "clouds" / f"{name}.laz")
     assert content["crs"] == crs
     assert content["clouds"] == [f"${{ROADSIGHT_DATA}}/clouds/{name}.laz"]
 
@@ -184,20 +179,14 @@ def test_real_clouds(tmp_path, name, crs):
 @pytest.mark.parametrize(
     ("text", "name"),
     [
-        ("Mühlstraße", "muehlstrasse"),
-        ("MU\u0308HLE", "muehle"),
-        ("Città 2", "citta_2"),
-        ("Łódź", "lodz"),
-        ("Улица Мира", "ulitsa_mira"),
-        ("Οδός 3", "odos_3"),
+        ("Mühlstraße", "muehlstrasse"), ("MU\u0308HLE", "muehle"), ("Città 2", "citta_2"),
+        ("Łódź", "lodz"), ("Улица Мира", "ulitsa_mira"), ("Οδός 3", "odos_3"),
         ("København", "koebenhavn"),
     ],
-)
+)  # fmt: skip
 def test_letters_with_marks_stay_legible(tmp_path, text, name):
     cloud = write_las(tmp_path / f"{text}.laz", random_points(50), UTM)
-    out = tmp_path / "site.yaml"
-    run(cloud, "-o", out)
-    content = written(out)[1]
+    content = started(tmp_path, cloud)[1]
     assert content["site"] == name
     assert content["title"] == text
 
@@ -206,15 +195,12 @@ def test_a_name_that_cannot_be_written_out_is_asked_for(tmp_path):
     cloud = write_las(tmp_path / "道路.laz", random_points(50), UTM)
     with pytest.raises(InputError, match=r"道路\.laz.*--site NAME"):
         run(cloud, "-o", tmp_path / "site.yaml")
-    run(cloud, "-o", tmp_path / "site.yaml", "--site", "road")
-    assert written(tmp_path / "site.yaml")[1]["site"] == "road"
+    assert started(tmp_path, cloud, "--site", "road")[1]["site"] == "road"
 
 
 def test_what_is_commented_out_is_a_valid_key(tmp_path):
     cloud = write_las(tmp_path / "a.laz", random_points(50), UTM)
-    out = tmp_path / "site.yaml"
-    run(cloud, "-o", out)
-    text = out.read_text(encoding="utf-8").replace("# orthophoto:", "orthophoto:")
+    text = started(tmp_path, cloud)[0].replace("# orthophoto:", "orthophoto:")
     assert Site(**yaml.safe_load(text)).orthophoto == "orthophoto.tif"
 
 

@@ -1,7 +1,3 @@
-"""The environment in which stages run."""
-
-from __future__ import annotations
-
 import os
 import py_compile
 import subprocess

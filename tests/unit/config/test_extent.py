@@ -1,7 +1,3 @@
-"""A site may be about a part of its clouds: a box, a polygon, a distance from edges or a track."""
-
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,3 @@
-"""No line of the package writes the default of a setting again."""
-
-from __future__ import annotations
-
 import ast
 import inspect
 from collections.abc import Iterator

@@ -1,7 +1,3 @@
-"""A setting and its default are written once: in its section."""
-
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import importlib

@@ -1,5 +1,3 @@
-"""Options of plans in the plans file and in site files."""
-
 import json
 
 import pytest
@@ -23,11 +21,8 @@ def site_file(folder, **placement):
     return load_site(str(path), load_config(Config().model_dump()))
 
 
-def test_a_plan_without_options_says_nothing():
-    assert plan().options() == ""
-
-
 def test_options_say_only_what_is_set_and_leave_files_out():
+    assert plan().options() == ""
     found = plan(spacing_m=20, areas={"file": "areas.gpkg"}, budget={"sensors": 3})
     assert json.loads(found.options()) == {
         "areas": {"crs": None},

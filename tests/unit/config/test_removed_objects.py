@@ -1,5 +1,3 @@
-"""Names of objects that a site removes."""
-
 import pytest
 
 from roadsight.base.errors import InputError

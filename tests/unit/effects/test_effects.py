@@ -1,7 +1,3 @@
-"""Which effects are called for: catalogue, quantities with known values, decisions."""
-
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -38,20 +34,13 @@ LENS = {
     **{"scale_px": 583.0, "corner_px": -6.0, "sigma_px": 1.5, "source": "plumb lines"},
 }
 DRIVE = {
-    "images": 100,
-    "hidden_road_share": 0.2,
-    "side_share": 1.0,
-    "front_view_gaps": [[20.0, 0.9], [60.0, 0.3], [110.0, 0.0]],
-    "lenses": [LENS],
-}
+    "images": 100, "hidden_road_share": 0.2, "side_share": 1.0,
+    "front_view_gaps": [[20.0, 0.9], [60.0, 0.3], [110.0, 0.0]], "lenses": [LENS],
+}  # fmt: skip
 SENSOR = Sensor(
-    elevation_min_deg=-20,
-    elevation_max_deg=20,
-    channels=129,
-    range_m=100,
-    range_10_m=40,
+    elevation_min_deg=-20, elevation_max_deg=20, channels=129, range_m=100, range_10_m=40,
     divergence_mrad=(3.0, 1.5),
-)
+)  # fmt: skip
 
 
 def circumstances(profile=None, sensors=None, drive=None, given=None, **sections):
@@ -235,27 +224,20 @@ class TestStage:
         assert {e["decision"] for e in effects} == {"simulate", "skip"}
 
 
-class TestCatalogue:
-    def written(self, folder, change):
-        content = yaml.safe_load(CATALOGUE.read_text())
-        change(content["effects"])
-        (folder / "effects.yaml").write_text(yaml.safe_dump(content))
-        return folder / "effects.yaml"
-
-    def test_unknown_key_names_the_nearest(self, tmp_path):
-        path = self.written(tmp_path, lambda e: e["rain"].update(treshold=1))
-        with pytest.raises(InputError, match="did you mean 'threshold'"):
-            load_catalogue(path)
-
-    def test_unknown_effect_names_the_nearest(self, tmp_path):
-        path = self.written(tmp_path, lambda e: e.update(rainn=e["rain"]))
-        with pytest.raises(InputError, match="did you mean 'rain'"):
-            load_catalogue(path)
-
-    def test_missing_effect(self, tmp_path):
-        path = self.written(tmp_path, lambda e: e.pop("fog"))
-        with pytest.raises(InputError, match="lacks the effect 'fog'"):
-            load_catalogue(path)
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda e: e["rain"].update(treshold=1), "did you mean 'threshold'"),
+        (lambda e: e.update(rainn=e["rain"]), "did you mean 'rain'"),
+        (lambda e: e.pop("fog"), "lacks the effect 'fog'"),
+    ],
+)
+def test_what_is_wrong_in_the_catalogue_is_told(tmp_path, change, told):
+    content = yaml.safe_load(CATALOGUE.read_text())
+    change(content["effects"])
+    (tmp_path / "effects.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(InputError, match=told):
+        load_catalogue(tmp_path / "effects.yaml")
 
 
 class TestSiteModes:

@@ -1,7 +1,3 @@
-"""Decisions on effects by the targets that a site has, and settings that metrics refuse."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -18,13 +14,9 @@ from roadsight.stages.evidence import measure_tradeoff
 from roadsight.stages.evidence.measure_tradeoff import refuse_other_targets
 
 SENSOR = Sensor(
-    elevation_min_deg=-20,
-    elevation_max_deg=20,
-    channels=129,
-    range_m=1000,
-    range_10_m=900,
+    elevation_min_deg=-20, elevation_max_deg=20, channels=129, range_m=1000, range_10_m=900,
     divergence_mrad=(3.0, 1.5),
-)
+)  # fmt: skip
 BEAM = np.radians(0.1) * np.radians(40 / 128)
 CONFIG = {"sites": ["tradeoffs_highway"], "sensors_file": "config/sensors.yaml", "overrides": {}}
 TINY = {"kind": "box", "length_m": 0.1, "width_m": 0.05, "height_m": 0.08}
@@ -94,13 +86,10 @@ class TestMetrics:
     @pytest.mark.parametrize(
         "other",
         [
-            {"kind": "truck"},
-            {"radius_m": 0.3},
-            {"height_m": 1.0},
-            {"min_beams": 4},
+            {"kind": "truck"}, {"radius_m": 0.3}, {"height_m": 1.0}, {"min_beams": 4},
             {"rcs_m2": 1.0},
         ],
-    )
+    )  # fmt: skip
     def test_truth_of_the_default_targets_does_not_judge_others(self, metric, other):
         (key, found), *_ = other.items()
         with pytest.raises(

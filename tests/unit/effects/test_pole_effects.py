@@ -1,7 +1,3 @@
-"""Effects of the pole job that bend numbers: grid scale, curvature of the Earth, relief, lenses."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""The cost model: lines recovered, sites held out, schedules bounded, estimates added up."""
-
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,3 @@
-"""Audit of decisions: change of the answer, verdicts, the stage, table and page."""
-
-from __future__ import annotations
-
 import shutil
 from importlib import import_module
 from pathlib import Path
@@ -29,17 +25,10 @@ from tests.conftest import PROJECT
 ROOT = PROJECT
 
 DECISION = {
-    "job": "placement",
-    "effect": "rain",
-    "decision": "skip",
-    "quantity": "range lost",
-    "value": 0.004,
-    "unit": "",
-    "threshold": 0.01,
-    "reason": "it drizzles",
-    "expected_change": 0.004,
-    "expected_seconds": 0.1,
-}
+    "job": "placement", "effect": "rain", "decision": "skip", "quantity": "range lost",
+    "value": 0.004, "unit": "", "threshold": 0.01, "reason": "it drizzles",
+    "expected_change": 0.004, "expected_seconds": 0.1,
+}  # fmt: skip
 
 
 def answer(*targets, sensors=1, cpu_s=1.0, candidates="a"):
@@ -153,14 +142,10 @@ def test_the_stage_runs_the_other_decision_on_each_effect(answered, tmp_path, mo
 
     monkeypatch.setattr(stage, "Variant", Other)
     options = {
-        "site": "s",
-        "plan": "p",
-        "effects": "results/s/effects.json",
-        "catalogue": ROOT / "config/effects.yaml",
-        "config": '{"seed": 3}',
-        "work": tmp_path / "work",
-        "out": tmp_path / "rows.json",
-    }
+        "site": "s", "plan": "p", "effects": "results/s/effects.json",
+        "catalogue": ROOT / "config/effects.yaml", "config": '{"seed": 3}',
+        "work": tmp_path / "work", "out": tmp_path / "rows.json",
+    }  # fmt: skip
     assert stage.main([part for k, v in options.items() for part in (f"--{k}", str(v))]) == 0
     assert asked == [(3, "s", {"effects": {"rain": "simulate"}})]
     (row,) = read_json(tmp_path / "rows.json")

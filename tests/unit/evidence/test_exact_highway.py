@@ -1,7 +1,3 @@
-"""The generated highway as truth: what a sensor sees in it, in the frame of any results."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

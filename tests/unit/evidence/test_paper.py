@@ -1,7 +1,3 @@
-"""Rows and page of both studies from what runs measured."""
-
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -15,12 +11,9 @@ from roadsight.report.paper_page import ASSETS, render_paper
 
 def placement_run(plans: tuple[str, ...], sensors: int) -> dict:
     plan = {
-        "sensors": sensors,
-        "status": "optimal",
-        "bound": sensors,
-        "covered_share": 0.5,
+        "sensors": sensors, "status": "optimal", "bound": sensors, "covered_share": 0.5,
         "sensors_m": [[float(n), 0.0, 5.0] for n in range(sensors)],
-    }
+    }  # fmt: skip
     return {
         "cpu_s": {"build_dem": 1.0, "cluster_fpfh": 2.0, "extract_pavement": 3.0},
         "length_km": 0.1,

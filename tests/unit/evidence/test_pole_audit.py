@@ -1,7 +1,3 @@
-"""How far two answers of the pole job differ."""
-
-from __future__ import annotations
-
 from pathlib import Path
 from typing import ClassVar
 

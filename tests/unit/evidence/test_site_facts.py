@@ -1,5 +1,3 @@
-"""Facts of a site against roads whose length, width, lanes and radius are known."""
-
 import numpy as np
 import pytest
 import shapely

@@ -1,7 +1,3 @@
-"""The summary of a site from artifacts written by hand."""
-
-from __future__ import annotations
-
 import hashlib
 import json
 
@@ -18,22 +14,12 @@ SETTINGS = {"seed": 7, "shards": 2, "cover": {"time_limit_s": 300.0}}
 
 def solution(plan, **changes):
     return {
-        "site": "here",
-        "plan": plan,
-        "sensor_types": ["S"],
-        "status": "optimal",
-        "objective": 2.5,
-        "bound": 2.5,
-        "gap": 0.0,
-        "at_least": 1,
-        "sensors": [{"candidate": "a"}, {"candidate": "b"}],
-        "targets": 10,
-        "covered_targets": 9,
-        "uncoverable_targets": 1,
-        "excluded": ["t3"],
-        "proven_area_m2": 7.5,
+        "site": "here", "plan": plan, "sensor_types": ["S"], "status": "optimal", "objective": 2.5,
+        "bound": 2.5, "gap": 0.0, "at_least": 1,
+        "sensors": [{"candidate": "a"}, {"candidate": "b"}], "targets": 10, "covered_targets": 9,
+        "uncoverable_targets": 1, "excluded": ["t3"], "proven_area_m2": 7.5,
         "reductions": {"rows": 4},
-    } | changes
+    } | changes  # fmt: skip
 
 
 @pytest.fixture
@@ -52,12 +38,9 @@ def folder(tmp_path):
 
 def summarise(folder, *options, out="summary.json"):
     named = {
-        "frame": "frame.json",
-        "profile": "profile.json",
-        "effects": "effects.json",
-        "out": out,
+        "frame": "frame.json", "profile": "profile.json", "effects": "effects.json", "out": out,
         "run": f"run-of-{out}",
-    }
+    }  # fmt: skip
     paths = [part for n, file in named.items() for part in (f"--{n}", str(folder / file))]
     fixed = ["--site", "here", "--seed", "7", "--settings", json.dumps(SETTINGS)]
     code = main([*fixed, *paths, *options])
@@ -99,33 +82,17 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
         "sensors": {"S": {"cost": 1.0}},
         "placement": {
             "early": {
-                "status": "optimal",
-                "sensors": 2,
-                "cost": 2.5,
-                "lower_bound": 2.5,
-                "gap": 0.0,
-                "covered_targets": 9,
-                "targets": 10,
-                "candidates": 30,
-                "uncoverable_targets": 1,
-                "seconds_cpu": 5.0,
-                "proven_area_m2": 7.5,
+                "status": "optimal", "sensors": 2, "cost": 2.5, "lower_bound": 2.5, "gap": 0.0,
+                "covered_targets": 9, "targets": 10, "candidates": 30, "uncoverable_targets": 1,
+                "seconds_cpu": 5.0, "proven_area_m2": 7.5,
             },
             "late": {
-                "status": "time_limit",
-                "sensors": 2,
-                "cost": 2.5,
-                "lower_bound": 2.0,
-                "gap": 0.2,
-                "covered_targets": 9,
-                "targets": 10,
-                "candidates": 30,
-                "uncoverable_targets": 1,
-                "seconds_cpu": 4.0,
-                "proven_area_m2": 7.5,
+                "status": "time_limit", "sensors": 2, "cost": 2.5, "lower_bound": 2.0, "gap": 0.2,
+                "covered_targets": 9, "targets": 10, "candidates": 30, "uncoverable_targets": 1,
+                "seconds_cpu": 4.0, "proven_area_m2": 7.5,
             },
         },
-    }
+    }  # fmt: skip
 
 
 def test_a_job_that_was_not_asked_for_is_absent(folder):

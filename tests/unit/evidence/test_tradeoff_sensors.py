@@ -1,7 +1,3 @@
-"""Levels of studies whose plans place sensors of any kind."""
-
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

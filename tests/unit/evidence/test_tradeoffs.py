@@ -1,7 +1,3 @@
-"""Studies, frontiers, costs and the page of what accuracy costs."""
-
-from __future__ import annotations
-
 import itertools
 import math
 from functools import partial
@@ -345,14 +341,11 @@ class TestPage:
         rows = [row | {"is_default": row["is_default"] and has_default} for row in rows]
         ways = {
             name: {
-                "coordinate_error_m": e,
-                "normal_error_deg": e,
-                "cpu_s": 1.0,
-                "wall_s": 1.0,
+                "coordinate_error_m": e, "normal_error_deg": e, "cpu_s": 1.0, "wall_s": 1.0,
                 "peak_mib": 1.0,
             }
             for name, e in (("world", 0.25), ("local", 1e-5))
-        }
+        }  # fmt: skip
         coordinates = precision_rows({"default": "local", "repeats": 3, "levels": ways})
         rows += [{"study": "coordinates", **row} for row in coordinates]
         assets = read_assets((TEMPLATE, *STYLES))

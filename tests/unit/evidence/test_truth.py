@@ -1,7 +1,3 @@
-"""What real data say: the catalogue, the table, the page, the peers."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np

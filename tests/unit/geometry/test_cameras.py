@@ -1,5 +1,3 @@
-"""Cameras: conventions, inverses, degenerate cases."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,3 @@
-"""CRS, units, references and the tests that refuse impossible ones."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
@@ -339,14 +335,10 @@ def test_web_mercator_stretches_too_much():
 @pytest.mark.parametrize(
     ("lon", "lat", "code"),
     [
-        (4.4, 52.0, "EPSG:32631"),
-        (-78.7, 35.7, "EPSG:32617"),
-        (174.8, -41.3, "EPSG:32760"),
-        (180.0, 10.0, "EPSG:32601"),
-        (-180.0, 10.0, "EPSG:32601"),
-        (6.0, 0.0, "EPSG:32632"),
+        (4.4, 52.0, "EPSG:32631"), (-78.7, 35.7, "EPSG:32617"), (174.8, -41.3, "EPSG:32760"),
+        (180.0, 10.0, "EPSG:32601"), (-180.0, 10.0, "EPSG:32601"), (6.0, 0.0, "EPSG:32632"),
     ],
-)
+)  # fmt: skip
 def test_utm_zone(lon, lat, code):
     assert utm_code(lon, lat) == code
 

@@ -1,7 +1,3 @@
-"""Radial lenses: the inverse, the place where an image folds, units of distance."""
-
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

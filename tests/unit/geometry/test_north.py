@@ -1,5 +1,3 @@
-"""Latitude, longitude and true north of a site."""
-
 import numpy as np
 import pytest
 from pyproj import CRS, Geod

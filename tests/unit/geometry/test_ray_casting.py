@@ -1,5 +1,3 @@
-"""Rays at triangles agree with arithmetic on each pair of ray and triangle."""
-
 import gc
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Closed lines and images beside the filters of SciPy."""
-
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import os
 import subprocess
@@ -21,21 +19,16 @@ def test_output_appears_under_its_name_only_after_success(tmp_path):
     assert list(target.parent.iterdir()) == [target]
 
 
-def test_failure_keeps_the_old_file_and_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("old", [[b"old"], []])
+def test_failure_keeps_the_old_file_and_leaves_nothing_behind(tmp_path, error, old):
     target = tmp_path / "out.bin"
-    target.write_bytes(b"old")
-    with pytest.raises(RuntimeError, match="half way"), atomic_path(target) as temporary:
+    for content in old:
+        target.write_bytes(content)
+    with pytest.raises(error, match="half way"), atomic_path(target) as temporary:
         temporary.write_bytes(b"ne")
-        raise RuntimeError("half way")
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_failure_without_an_old_file_leaves_no_file(tmp_path):
-    with pytest.raises(KeyboardInterrupt), atomic_path(tmp_path / "out.bin") as temporary:
-        temporary.write_bytes(b"ne")
-        raise KeyboardInterrupt
-    assert list(tmp_path.iterdir()) == []
+        raise error("half way")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == old
 
 
 def test_a_block_that_writes_nothing_fails_and_keeps_the_old_file(tmp_path):

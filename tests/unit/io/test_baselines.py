@@ -1,7 +1,3 @@
-"""Registered cameras of a user: what is read and what is refused."""
-
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,3 @@
-"""Headers and records of clouds that contradict each other, are split or are incomplete."""
-
-from __future__ import annotations
-
 import struct
 
 import laspy
@@ -13,18 +9,14 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.stated import stated_crs
 from roadsight.io.cloud.clouds import read_header, read_laz, write_laz
-from tests.helpers.las_files import random_points, write_las
+from tests.helpers.las_files import patched, random_points, write_las
 
 XYZ = random_points(60)
 UTM_32, UTM_33 = (CRS.from_epsg(code).to_wkt("WKT1_GDAL") for code in (25832, 25833))
 CENTRE = (500_000.0, 5_400_000.0)
 TMERC = {1024: 1, 2048: 4258, 3072: 32767, 3074: 32767, 3075: 1, 3076: 9001} | {
-    3080: 9.0,
-    3081: 0.0,
-    3082: 500_000.0,
-    3083: 0.0,
-    3092: 0.9996,
-}
+    3080: 9.0, 3081: 0.0, 3082: 500_000.0, 3083: 0.0, 3092: 0.9996,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -89,14 +81,6 @@ def test_a_projection_without_a_parameter_is_told_by_its_key(key):
 )
 def test_a_compound_of_one_part_is_that_part(wkt):
     assert stated_crs(wkt, {}).crs.to_epsg() == 25832
-
-
-def patched(path, *fields):
-    data = bytearray(path.read_bytes())
-    for at, layout, value in fields:
-        struct.pack_into(layout, data, at, value)
-    path.write_bytes(data)
-    return path
 
 
 def test_counts_that_stand_in_one_place(tmp_path):

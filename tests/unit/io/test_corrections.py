@@ -1,7 +1,3 @@
-"""Poses that a person set: only their shard hears of them."""
-
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,5 +1,3 @@
-"""Matrix files and the verb."""
-
 import json
 
 import numpy as np

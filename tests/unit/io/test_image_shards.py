@@ -1,5 +1,3 @@
-"""ZIP files of PNGs."""
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Known lenses from a table or a row, and what is wrong with them."""
-
-from __future__ import annotations
-
 import json
 
 import pandas as pd

@@ -1,5 +1,3 @@
-"""Places on a road, and where a vehicle drove, as users state them."""
-
 import geopandas as gpd
 import numpy as np
 import pytest

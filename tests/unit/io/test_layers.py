@@ -1,7 +1,3 @@
-"""Layers by name, without CRS, and heights that mean none; weights beside a network; matches."""
-
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,3 @@
-"""Paths that a configuration or a manifest names."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

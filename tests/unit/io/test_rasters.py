@@ -1,7 +1,3 @@
-"""GeoTIFF out and in."""
-
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -105,12 +101,6 @@ def test_sample_equals_the_slow_definition():
     expected = [slow_sample(raster, *place) for place in zip(x, y, strict=True)]
     np.testing.assert_allclose(raster.sample(x, y), expected, rtol=1e-6)
     assert np.isnan(raster.sample([np.nan, np.inf], [5.0, 5.0])).all()
-
-
-def test_sample_of_a_plane_is_exact_between_centres():
-    rows, columns = np.mgrid[0:6, 0:8]
-    raster = Raster((2 * columns - 3 * rows + 5).astype(np.float32), 0.0, 6.0, 1.0)
-    assert raster.sample([3.7], [2.2])[0] == pytest.approx(2 * 3.2 - 3 * 3.3 + 5)
 
 
 def test_bad_rasters_are_one_message(tmp_path):

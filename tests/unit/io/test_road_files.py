@@ -1,5 +1,3 @@
-"""Inventories, routes and barriers in the files that people have."""
-
 import sqlite3
 import struct
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -46,15 +44,10 @@ def package(tmp_path, monkeypatch):
 
 def test_transitive_lazy_and_package_imports_are_found_and_others_are_not(package):
     assert stage_sources("one") == [
-        "roadsight/__init__.py",
-        "roadsight/core/__init__.py",
-        "roadsight/core/constants.py",
-        "roadsight/core/deep.py",
-        "roadsight/core/near.py",
-        "roadsight/stages/__init__.py",
-        "roadsight/stages/scene/__init__.py",
-        "roadsight/stages/scene/one.py",
-    ]
+        "roadsight/__init__.py", "roadsight/core/__init__.py", "roadsight/core/constants.py",
+        "roadsight/core/deep.py", "roadsight/core/near.py", "roadsight/stages/__init__.py",
+        "roadsight/stages/scene/__init__.py", "roadsight/stages/scene/one.py",
+    ]  # fmt: skip
 
 
 def test_another_stage_has_its_own_sources(package):
@@ -198,18 +191,13 @@ class TestStamps:
 
 
 PLACES = [
-    "if True:\n    pass\nelse:\n    {}",
-    "try:\n    {}\nfinally:\n    pass",
-    "try:\n    pass\nexcept OSError:\n    {}",
-    "try:\n    pass\nfinally:\n    {}",
+    "if True:\n    pass\nelse:\n    {}", "try:\n    {}\nfinally:\n    pass",
+    "try:\n    pass\nexcept OSError:\n    {}", "try:\n    pass\nfinally:\n    {}",
     "try:\n    pass\nexcept OSError:\n    pass\nelse:\n    {}",
-    "for _ in ():\n    pass\nelse:\n    {}",
-    "while False:\n    {}",
-    "with open('x'):\n    {}",
-    "class A:\n    def f(self):\n        {}",
-    "async def f():\n    async with g():\n        {}",
+    "for _ in ():\n    pass\nelse:\n    {}", "while False:\n    {}", "with open('x'):\n    {}",
+    "class A:\n    def f(self):\n        {}", "async def f():\n    async with g():\n        {}",
     "match 1:\n    case 1:\n        {}",
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("place", PLACES)

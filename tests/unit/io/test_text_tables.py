@@ -1,7 +1,3 @@
-"""Tables as spreadsheets and vendors write them; names that YAML would misread; EXIF."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

@@ -1,7 +1,3 @@
-"""What a stage says that it used is what it used."""
-
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,3 @@
-"""Vector layers out and in, and users' files of every kind and CRS."""
-
-from __future__ import annotations
-
 import json
 import time
 
@@ -360,7 +356,6 @@ def test_bad_polygons_are_one_message(tmp_path, geometry, message):
         read_polygons(path, Frame((0.0, 0.0, 0.0)))
 
 
-@pytest.mark.real
 @needs_data
 def test_real_road_polygons():
     frame = Frame((84808.3, 447412.8, -0.568), crs_wkt=wkt_of("EPSG:28992"))

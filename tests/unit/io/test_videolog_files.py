@@ -1,5 +1,3 @@
-"""Files of each shard of a videolog."""
-
 from pathlib import Path
 
 import pytest

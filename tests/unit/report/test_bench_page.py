@@ -1,25 +1,13 @@
-"""The page of the benchmarks."""
-
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.bench_page import ASSETS, BOUND, ratio_chart, render_bench
 from roadsight.report.files import read_assets
 
 ROW = {
-    "kernel": "ground filter",
-    "ours": "pillars",
-    "against": "lowest <point>",
-    "cpu_s_ours": 0.5,
-    "cpu_s_against": 5.0,
-    "ratio": 10.0,
-    "peak_mib_ours": 12.0,
-    "peak_mib_against": None,
-    "agreement": 0.99,
-    "agreement_metric": "share of equal labels",
-    "workload": "1000 points",
-}
+    "kernel": "ground filter", "ours": "pillars", "against": "lowest <point>", "cpu_s_ours": 0.5,
+    "cpu_s_against": 5.0, "ratio": 10.0, "peak_mib_ours": 12.0, "peak_mib_against": None,
+    "agreement": 0.99, "agreement_metric": "share of equal labels", "workload": "1000 points",
+}  # fmt: skip
 
 
 def page(rows):

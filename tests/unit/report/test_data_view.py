@@ -1,26 +1,13 @@
-"""What the report says of probabilities and of points by height."""
-
-from __future__ import annotations
-
 from roadsight.report.site.plan_view import data_view
 
 SENSOR = {
-    "candidate": "a",
-    "sensor": "OS-64",
-    "along_road_m": 3.0,
-    "points_per_s": 1e6,
-    "pixels_per_s": 0.0,
-    "road_points_per_s": 2e5,
-}
+    "candidate": "a", "sensor": "OS-64", "along_road_m": 3.0, "points_per_s": 1e6,
+    "pixels_per_s": 0.0, "road_points_per_s": 2e5,
+}  # fmt: skip
 DATA = {
-    "share_seen_by_two": 0.5,
-    "mean_sensors": 1.5,
-    "mean_overlap_m": None,
-    "points_per_s": 1e6,
-    "road_points_per_s": 2e5,
-    "pixels_per_s": 0.0,
-    "sensors": [SENSOR],
-}
+    "share_seen_by_two": 0.5, "mean_sensors": 1.5, "mean_overlap_m": None, "points_per_s": 1e6,
+    "road_points_per_s": 2e5, "pixels_per_s": 0.0, "sensors": [SENSOR],
+}  # fmt: skip
 HEIGHTS = [
     {
         "unit": "points",

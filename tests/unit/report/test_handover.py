@@ -1,7 +1,3 @@
-"""Hand-over to GIS, CAD and crews: every field agrees with the geometry beside it."""
-
-from __future__ import annotations
-
 import os
 import sqlite3
 import subprocess
@@ -397,12 +393,9 @@ def test_a_drawing_does_not_depend_on_the_order_of_sets():
     )
     digests = {
         subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            check=True,
-            capture_output=True,
-            text=True,
+            [sys.executable, "-c", code], env={**os.environ, "PYTHONHASHSEED": seed}, check=True,
+            capture_output=True, text=True,
         ).stdout
         for seed in ("0", "4")  # two that order the library's sets differently
-    }
+    }  # fmt: skip
     assert len(digests) == 1

@@ -1,7 +1,3 @@
-"""The report on paper: true scale, all plans, and the run it is of."""
-
-from __future__ import annotations
-
 import os
 import re
 from itertools import pairwise

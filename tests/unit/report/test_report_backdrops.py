@@ -1,7 +1,3 @@
-"""Pictures below the map, and the coordinates of its places."""
-
-from __future__ import annotations
-
 import base64
 
 import cv2

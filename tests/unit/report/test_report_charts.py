@@ -1,7 +1,3 @@
-"""Plots as SVG, and what they are made of."""
-
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from xml.etree import ElementTree
@@ -115,30 +111,20 @@ def test_labels_cover_no_other_one_and_stay_inside(places):
 
 
 ELEMENTS = [
-    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"),
-    ("drop-off", 1.2, 1.2, -0.1, ""),
-    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"),
-    ("ditch bottom", 3.0, 3.6, 0.0, "level"),
-    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"),
-    ("level", 5.0, 12.0, 0.05, "level"),
-]
+    ("shoulder", 0.0, 1.2, -0.06, "1V:20.0H"), ("drop-off", 1.2, 1.2, -0.1, ""),
+    ("foreslope", 1.2, 3.0, -0.8, "1V:2.2H"), ("ditch bottom", 3.0, 3.6, 0.0, "level"),
+    ("backslope", 3.6, 5.0, 0.6, "1V:2.3H"), ("level", 5.0, 12.0, 0.05, "level"),
+]  # fmt: skip
 
 
 def table(n=3, rating="high"):
     hazard = pd.DataFrame(
         {
-            "id": [f"p{i}" for i in range(n)],
-            "kind": "pole",
-            "rank": np.arange(n, 0, -1),
-            "rating": rating,
-            "route": "SR <7>",
-            "station_m": 10.0,
-            "side": -1,
-            "offset_m": 4.0,
-            "clear_zone_m": 8.0,
-            "reasons": "4 m from the edge <b>",
+            "id": [f"p{i}" for i in range(n)], "kind": "pole", "rank": np.arange(n, 0, -1),
+            "rating": rating, "route": "SR <7>", "station_m": 10.0, "side": -1, "offset_m": 4.0,
+            "clear_zone_m": 8.0, "reasons": "4 m from the edge <b>",
         }
-    )
+    )  # fmt: skip
     rows = [(name, *element) for name in hazard["id"] for element in ELEMENTS]
     columns = ["object", "kind", "start_m", "end_m", "rise_m", "slope_ratio"]
     run = np.arange(0, 12, 0.5)

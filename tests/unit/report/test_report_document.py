@@ -1,7 +1,3 @@
-"""The page of a site and the report made of it, from artifacts on disk."""
-
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,5 +1,3 @@
-"""What the report says of plans with options."""
-
 import pytest
 
 from roadsight.report.site.options_view import goal_proven, goal_text, is_soft, options_view
@@ -9,14 +7,10 @@ ALTERNATIVES = {"replaceable": [2, 0], "by": [["p", "q"], []], "places": 2, "dif
 
 def plan(kind="cost", value=2.0, bound=2.0, asked=None, **rest):
     options = {
-        "asked": asked or {},
-        "goal": {"kind": kind, "value": value, "bound": bound},
-        "weight": {"seen": 75.0, "of": 100.0},
-        "failure": {"left_share": 0.5, "worst": "a"},
-        "short": {},
-        "forbidden_candidates": 0,
-        **rest,
-    }
+        "asked": asked or {}, "goal": {"kind": kind, "value": value, "bound": bound},
+        "weight": {"seen": 75.0, "of": 100.0}, "failure": {"left_share": 0.5, "worst": "a"},
+        "short": {}, "forbidden_candidates": 0, **rest,
+    }  # fmt: skip
     sensors = [{"number": 1, "candidate": "a"}, {"number": 2, "candidate": "b"}]
     return {"options": options, "sensors": sensors}
 

@@ -1,7 +1,3 @@
-"""What the page of the poles holds, from tables made by hand."""
-
-from __future__ import annotations
-
 import base64
 
 import cv2
@@ -37,31 +33,19 @@ def unpacked(packed):
 def frames(count, heading_deg=0.0):
     return pd.DataFrame(
         {
-            "image": [f"{n}.jpg" for n in range(count)],
-            "route": "r",
-            "sequence": range(count),
-            "x": 0.0,
-            "y": 10.0 * np.arange(count),
-            "heading_deg": heading_deg,
-            "step_m": 10.0,
+            "image": [f"{n}.jpg" for n in range(count)], "route": "r", "sequence": range(count),
+            "x": 0.0, "y": 10.0 * np.arange(count), "heading_deg": heading_deg, "step_m": 10.0,
             "status": "ok",
         }
-    )
+    )  # fmt: skip
 
 
 def cameras(count, **columns):
     base = {
-        "image": [f"{n}.jpg" for n in range(count)],
-        "x": 0.0,
-        "y": 10.0 * np.arange(count),
-        "z": 2.0,
-        "heading_deg": 0.0,
-        "sigma_heading_deg": 0.1,
-        "sigma_lateral_m": 0.2,
-        "residual_px": 1.0,
-        "accepted": True,
-        "reason": "",
-    }
+        "image": [f"{n}.jpg" for n in range(count)], "x": 0.0, "y": 10.0 * np.arange(count),
+        "z": 2.0, "heading_deg": 0.0, "sigma_heading_deg": 0.1, "sigma_lateral_m": 0.2,
+        "residual_px": 1.0, "accepted": True, "reason": "",
+    }  # fmt: skip
     return pd.DataFrame(base | columns)
 
 
@@ -102,15 +86,11 @@ class TestCameras:
 class TestSightings:
     SIGHTINGS = pd.DataFrame(
         {
-            "image": ["a", "a", "a", "b"],
-            "kind": ["pole", "pole", "pole", "sign"],
-            "x": 0.0,
-            "y": 0.0,
-            "bearing_grid_deg": [44.0, 359.5, 46.5, 45.0],
-            "depth_m": [14.0, np.nan, 14.0, 14.0],
-            "kept": [True, True, False, True],
+            "image": ["a", "a", "a", "b"], "kind": ["pole", "pole", "pole", "sign"], "x": 0.0,
+            "y": 0.0, "bearing_grid_deg": [44.0, 359.5, 46.5, 45.0],
+            "depth_m": [14.0, np.nan, 14.0, 14.0], "kept": [True, True, False, True],
         }
-    )
+    )  # fmt: skip
 
     def poles(self, **columns):
         base = {"x": [10.0], "y": [10.0], "kind": "pole", "images": [["a", "b"]]}
@@ -145,16 +125,11 @@ class TestSightings:
     @pytest.mark.parametrize(
         ("cell", "names"),
         [
-            (["a", "b"], ["a", "b"]),
-            (np.array(["a"]), ["a"]),
-            ("a;b", ["a", "b"]),
-            ('["a", "b"]', ["a", "b"]),
-            ("a, b.jpg | c", ["a, b.jpg", "c"]),
-            ("", []),
-            (None, []),
+            (["a", "b"], ["a", "b"]), (np.array(["a"]), ["a"]), ("a;b", ["a", "b"]),
+            ('["a", "b"]', ["a", "b"]), ("a, b.jpg | c", ["a, b.jpg", "c"]), ("", []), (None, []),
             (float("nan"), []),
         ],
-    )
+    )  # fmt: skip
     def test_names_of_images(self, cell, names):
         assert names_in(cell) == names
 

@@ -1,7 +1,3 @@
-"""The page of a site's poles and the report made of it, from artifacts on disk."""
-
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -87,15 +83,11 @@ class TestPage:
     def test_counts_agree_with_the_tables(self, sites, valley):
         site = sites[0]
         assert valley["counts"] == {
-            "images": len(site.frames),
-            "aligned": int(site.cameras["accepted"].sum()),
-            "rejected": int((~site.cameras["accepted"]).sum()),
-            "sightings": len(site.sightings),
-            "kept": int(site.sightings["kept"].sum()),
-            "poles": len(site.poles),
-            "routes": 1,
+            "images": len(site.frames), "aligned": int(site.cameras["accepted"].sum()),
+            "rejected": int((~site.cameras["accepted"]).sum()), "sightings": len(site.sightings),
+            "kept": int(site.sightings["kept"].sum()), "poles": len(site.poles), "routes": 1,
             "length_m": pytest.approx(8.0 * (len(site.frames) - 1)),
-        }
+        }  # fmt: skip
         assert valley["rejections"]["images"] == [
             [REASON, valley["counts"]["rejected"]],
             ["has no place", 1],

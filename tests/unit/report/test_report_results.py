@@ -1,7 +1,3 @@
-"""What the report says of sensors, gaps and proofs."""
-
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -51,10 +47,12 @@ class TestSights:
         assert sights.times_seen.tolist() == [1, 2, 0, 0]
         assert sights.histogram.tolist() == [2, 1, 1]
         assert sights.seen_by(0).tolist() == [0, 1]
-
-    def test_the_same_place_with_another_sensor_is_another_choice(self):
-        sights = sights_of([sensor("B", "p1")], self.seen, TARGETS)
-        assert sights.seen_by(0).tolist() == [3]
+        # Another sensor at the same place is another choice.
+        assert sights_of([sensor("B", "p1")], self.seen, TARGETS).seen_by(0).tolist() == [3]
+        assert sights_of([], self.seen, TARGETS).histogram.tolist() == [4]
+        more = pd.concat([self.seen, self.seen, detections(("A", "p1", "gone"))])
+        once = sights_of([sensor("A", "p1")], more, TARGETS)
+        assert once.times_seen.tolist() == [1, 1, 0, 0]
 
     def test_figures(self):
         sights = sights_of([sensor("A", "p1", x=3.0), sensor("A", "p2")], self.seen, TARGETS)
@@ -68,21 +66,8 @@ class TestSights:
 
     def test_sensor_that_sees_nothing(self):
         sights = sights_of([sensor("A", "p9")], self.seen, TARGETS)
-        assert sights.figures(0) == {
-            "targets": 0,
-            "only": 0,
-            "range_mean_m": None,
-            "range_max_m": None,
-        }
-
-    def test_repeated_and_foreign_rows_change_nothing(self):
-        more = pd.concat([self.seen, self.seen, detections(("A", "p1", "gone"))])
-        sights = sights_of([sensor("A", "p1")], more, TARGETS)
-        assert sights.times_seen.tolist() == [1, 1, 0, 0]
-
-    def test_no_sensor(self):
-        sights = sights_of([], self.seen, TARGETS)
-        assert sights.histogram.tolist() == [4]
+        nothing = {"targets": 0, "only": 0, "range_mean_m": None, "range_max_m": None}
+        assert sights.figures(0) == nothing
 
     def test_sensor_at_a_target_has_range_zero(self):
         sights = sights_of([sensor("A", "p1", z=0.0)], self.seen, TARGETS)
@@ -126,14 +111,10 @@ class TestPlaces:
 class TestGaps:
     explained = pd.DataFrame(
         {
-            "target": ["b", "d"],
-            "reason": ["too few beams", "hidden"],
-            "nearest_m": [80.5, 12.5],
-            "blocked_share": [0.0, 0.75],
-            "obstacle_x": [np.nan, 4.0],
-            "obstacle_y": [np.nan, 5.0],
+            "target": ["b", "d"], "reason": ["too few beams", "hidden"], "nearest_m": [80.5, 12.5],
+            "blocked_share": [0.0, 0.75], "obstacle_x": [np.nan, 4.0], "obstacle_y": [np.nan, 5.0],
         }
-    )
+    )  # fmt: skip
 
     def test_targets_seen_often_enough_are_no_gaps(self):
         gaps = gaps_of(TARGETS, np.array([0, 1, 0, 0]), 1, {"c", "d"}, self.explained)
@@ -160,16 +141,11 @@ class TestGaps:
     def test_obstacles_tell_unknown_heights(self):
         layer = gpd.GeoDataFrame(
             {
-                "kind": ["object", "ground"],
-                "target": "a",
-                "candidate": "p1",
-                "height_m": [2.5, np.nan],
-                "targets": [9, 1],
-                "sensors": 1,
-                "sight_lines": [12, 1],
+                "kind": ["object", "ground"], "target": "a", "candidate": "p1",
+                "height_m": [2.5, np.nan], "targets": [9, 1], "sensors": 1, "sight_lines": [12, 1],
             },
             geometry=gpd.points_from_xy([1, 2], [3, 4], [5, 6]),
-        )
+        )  # fmt: skip
         first, second = obstacles_of(layer)
         assert (first["x"], first["y"], first["height_m"], first["targets"]) == (1, 3, 2.5, 9)
         assert second["height_m"] is None
@@ -180,16 +156,12 @@ class TestProofs:
     @pytest.mark.parametrize(
         ("status", "objective", "bound", "whole", "proven"),
         [
-            ("optimal", 7.0, 7.0, True, True),
-            ("optimal", 7.0, 6.001, True, True),
-            ("optimal", 7.0, 6.0, True, False),
-            ("optimal", 7.0, 6.001, False, False),
-            ("optimal", 7.0, 7.0 - 1e-9, False, True),
-            ("optimal", 7.0, 6.0 + 1e-9, True, False),
-            ("time_limit", 7.0, 7.0, True, False),
-            ("optimal", 0.0, 0.0, True, True),
+            ("optimal", 7.0, 7.0, True, True), ("optimal", 7.0, 6.001, True, True),
+            ("optimal", 7.0, 6.0, True, False), ("optimal", 7.0, 6.001, False, False),
+            ("optimal", 7.0, 7.0 - 1e-9, False, True), ("optimal", 7.0, 6.0 + 1e-9, True, False),
+            ("time_limit", 7.0, 7.0, True, False), ("optimal", 0.0, 0.0, True, True),
         ],
-    )
+    )  # fmt: skip
     def test_status_and_bound_must_agree(self, status, objective, bound, whole, proven):
         assert is_proven(status, objective, bound, whole) is proven
 
@@ -225,11 +197,9 @@ SETTINGS = {"targets": {"cell_size_m": 1.0, "min_points": 25}}
 
 
 class TestData:
-    def test_enough_data_needs_no_caution(self):
-        assert data_cautions(2000, 90, 2050.0, SETTINGS) == []
-
-    def test_scene_without_placement_needs_no_caution(self):
-        assert data_cautions(None, None, 2050.0, SETTINGS) == []
+    @pytest.mark.parametrize("data", [(2000, 90, 2050.0), (None, None, 2050.0), (500, 50, 0.0)])
+    def test_enough_data_or_no_placement_or_area_needs_no_caution(self, data):
+        assert data_cautions(*data, SETTINGS) == []
 
     def test_each_shortage_is_named(self):
         few = data_cautions(40, 3, 400.0, SETTINGS)
@@ -241,9 +211,6 @@ class TestData:
         assert not data_cautions(500, 50, 2000.0, SETTINGS, 1990.0)
         (thin,) = data_cautions(500, 50, 2000.0, SETTINGS, 940.0)
         assert "53" in thin
-
-    def test_pavement_of_no_area(self):
-        assert data_cautions(500, 50, 0.0, SETTINGS) == []
 
     def test_scene_notes_are_sentences(self):
         frame = {"crs_wkt": None, "notes": ["z assumed to be in feet"]}

@@ -1,7 +1,3 @@
-"""Numbers, names and parameters as people read them."""
-
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -31,21 +27,11 @@ def plain(text):
 @pytest.mark.parametrize(
     ("value", "shown"),
     [
-        (0, "0"),
-        (-0.0, "0"),
-        (1234567, "1,234,567"),
-        (12345.678, "12,346"),
-        (16.389999, "16.39"),
-        (0.5, "0.5"),
-        (0.13928, "0.1393"),
-        (0.00012345, "0.0001234"),
-        (1.2e-7, "1.2e-07"),
-        (-2.5, "-2.5"),
-        (9999.96, "10,000"),
-        (float("nan"), MISSING),
-        (float("inf"), MISSING),
+        (0, "0"), (-0.0, "0"), (1234567, "1,234,567"), (12345.678, "12,346"), (16.389999, "16.39"),
+        (0.5, "0.5"), (0.13928, "0.1393"), (0.00012345, "0.0001234"), (1.2e-7, "1.2e-07"),
+        (-2.5, "-2.5"), (9999.96, "10,000"), (float("nan"), MISSING), (float("inf"), MISSING),
     ],
-)
+)  # fmt: skip
 def test_number(value, shown):
     assert plain(number(value)) == shown
 
@@ -61,14 +47,10 @@ def test_number_with_decimals(value, decimals, shown):
 @pytest.mark.parametrize(
     ("share", "shown"),
     [
-        (0, "0 %"),
-        (1, "100 %"),
-        (0.0001, "< 0.1 %"),
-        (0.99996, "> 99.9 %"),
-        (0.0444, "4.4 %"),
+        (0, "0 %"), (1, "100 %"), (0.0001, "< 0.1 %"), (0.99996, "> 99.9 %"), (0.0444, "4.4 %"),
         (0.6, "60 %"),
     ],
-)
+)  # fmt: skip
 def test_percent_reaches_its_ends_only_when_it_is_there(share, shown):
     assert plain(percent(share)) == shown
 
@@ -84,15 +66,10 @@ def test_seconds(value, shown):
 @pytest.mark.parametrize(
     ("value", "shown"),
     [
-        (0, "0° N"),
-        (359.7, "0° N"),
-        (337.5, "338° N"),
-        (337, "337° NW"),
-        (135, "135° SE"),
-        (22, "22° N"),
-        (23, "23° NE"),
+        (0, "0° N"), (359.7, "0° N"), (337.5, "338° N"), (337, "337° NW"), (135, "135° SE"),
+        (22, "22° N"), (23, "23° NE"),
     ],
-)
+)  # fmt: skip
 def test_bearing_wraps(value, shown):
     assert bearing(value) == shown
 
@@ -103,11 +80,8 @@ def test_metres():
 
 
 def test_counted():
-    assert [counted(n, "target") for n in (0, 1, 2000)] == [
-        "0 targets",
-        "1 target",
-        "2,000 targets",
-    ]
+    told = [counted(n, "target") for n in (0, 1, 2000)]
+    assert told == ["0 targets", "1 target", "2,000 targets"]
     assert counted(2, "entry", "entries") == "2 entries"
 
 
@@ -149,12 +123,8 @@ def test_label(key, shown):
 
 
 def test_lower_first_keeps_abbreviations():
-    assert [lower_first(t) for t in ("Cell", "CRS", "F1 score", "")] == [
-        "cell",
-        "CRS",
-        "F1 score",
-        "",
-    ]
+    told = [lower_first(t) for t in ("Cell", "CRS", "F1 score", "")]
+    assert told == ["cell", "CRS", "F1 score", ""]
 
 
 def test_figures_of_any_nesting():

@@ -1,7 +1,3 @@
-"""The files that the report lists."""
-
-from __future__ import annotations
-
 import re
 
 import pytest

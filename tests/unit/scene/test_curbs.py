@@ -1,5 +1,3 @@
-"""Curbs beside a track on an analytic street."""
-
 import numpy as np
 import pytest
 

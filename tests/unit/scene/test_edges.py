@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -101,13 +99,6 @@ class TestNaturalSpline:
         assert np.hypot(*(backward[0] - bend[-1])) < 1e-12
         i = np.hypot(*(forward[:, None] - backward[None]).transpose(2, 0, 1)).argmin(axis=1)
         assert ((along * against[i]).sum(axis=1) < -0.99).all()
-
-    def test_a_mirrored_edge_gives_the_mirrored_curve(self, bend):
-        station, xy, direction = natural_spline(bend, 4.0)
-        mirrored = natural_spline(bend * [1, -1], 4.0)
-        np.testing.assert_allclose(mirrored[0], station)
-        np.testing.assert_allclose(mirrored[1], xy * [1, -1], atol=1e-9)
-        np.testing.assert_allclose(mirrored[2], direction * [1, -1], atol=1e-9)
 
     def test_two_points_make_a_straight_line(self):
         station, xy, direction = natural_spline([[0, 0], [6, 8]], 2.5)

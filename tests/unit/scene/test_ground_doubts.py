@@ -1,7 +1,3 @@
-"""What is told about the ground, whatever the numbers."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,3 @@
-"""Pavement up to a wall, a car or a crown that hides its edge, and no farther."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -1,7 +1,3 @@
-"""Ingest end to end: from LAS files to the tiled cloud and its frame."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -13,7 +9,7 @@ from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.stages.scene.ingest_cloud import ingest, main
-from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, write_las
+from tests.helpers.las_files import DATA, needs_data, patched, random_points, wkt_of, write_las
 
 US_FOOT = 1200 / 3937
 UTM = wkt_of("EPSG:25832")
@@ -111,21 +107,16 @@ def test_one_point(tmp_path):
 
 
 def test_wrong_header_bounds_do_not_matter(tmp_path):
-    import struct
-
     xyz = random_points(50)
     path = write_las(tmp_path / "a.las", xyz, UTM)
-    data = bytearray(path.read_bytes())
-    struct.pack_into("<6d", data, 179, 1e9, -1e9, np.nan, 0, 0, np.inf)
-    path.write_bytes(data)
+    bounds = (1e9, -1e9, np.nan, 0, 0, np.inf)
+    patched(path, *((179 + 8 * n, "<d", value) for n, value in enumerate(bounds)))
     _, about = run(tmp_path, [path])
     assert about["origin"] == pytest.approx(xyz.min(axis=0), abs=1e-9)
 
 
 def test_clouds_are_read_once_where_headers_are_right_and_the_bytes_are_the_same(tmp_path, caplog):
     """Too narrow, too wide or late colours: read again, to the same tiles."""
-    import struct
-
     caplog.set_level("INFO")
     xyz = random_points(500)
     colours = {name: np.where(np.arange(500) < 400, 200, 60_000) for name in ("red", "green")}
@@ -135,10 +126,9 @@ def test_clouds_are_read_once_where_headers_are_right_and_the_bytes_are_the_same
     expected = (tmp_path / "out" / "cloud.parquet").read_bytes()
     assert "reading again" not in caplog.text
     for shift in (3.0, -3.0):
-        data = bytearray(truth)
-        for at, corner in zip((187, 203, 219), xyz.min(axis=0), strict=True):
-            struct.pack_into("<d", data, at, corner + shift)
-        path.write_bytes(data)
+        path.write_bytes(truth)
+        least = zip((187, 203, 219), xyz.min(axis=0), strict=True)
+        patched(path, *((at, "<d", corner + shift) for at, corner in least))
         caplog.clear()
         run(tmp_path, [path], chunk_points=100)
         assert "reading again" in caplog.text
@@ -248,7 +238,6 @@ def real(tmp_path, name, *choice, target=None):
     return run(tmp_path, [DATA / "clouds" / name], *choice, target=target)
 
 
-@pytest.mark.real
 @needs_data
 @pytest.mark.parametrize(
     ("name", "crs", "points", "size_m", "place"),
@@ -267,7 +256,6 @@ def test_real_clouds(tmp_path, name, crs, points, size_m, place):
     assert (location["lon_deg"], location["lat_deg"]) == pytest.approx(place, abs=0.02)
 
 
-@pytest.mark.real
 @needs_data
 def test_real_unit_trap(tmp_path):
     name = "nc_unit_trap.laz"
@@ -282,7 +270,6 @@ def test_real_unit_trap(tmp_path):
     assert about["bounds_m"][5] == pytest.approx(284.44 * US_FOOT, abs=0.05)
 
 
-@pytest.mark.real
 @needs_data
 def test_real_cloud_in_feet_reprojected_to_metres(tmp_path):
     _, feet = real(tmp_path, "autzen_trim.laz")
@@ -303,14 +290,11 @@ def test_a_share_of_the_pulses_is_what_a_sparser_survey_gives(tmp_path, timed):
     parts = [slice(0, 5000), slice(5000, 8000)]
     clouds = [
         write_las(
-            tmp_path / f"{number}.laz",
-            xyz[part],
-            UTM,
-            intensity=pulse[part],
+            tmp_path / f"{number}.laz", xyz[part], UTM, intensity=pulse[part],
             **{name: values[part] for name, values in dims.items()},
         )
         for number, part in enumerate(parts)
-    ]
+    ]  # fmt: skip
     tiles, about = run(tmp_path, clouds, pulse_share=0.25, chunk_points=333)
     kept = tiles.read(["intensity"])["intensity"]
     assert len(kept) == pytest.approx(2000, abs=160)

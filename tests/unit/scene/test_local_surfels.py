@@ -1,7 +1,5 @@
 """Surfels by local density: what lies elsewhere changes nothing here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,14 +71,11 @@ class TestUpwardNormals:
     @pytest.mark.parametrize(
         "xyz",
         [
-            [[1, 2, 3]],
-            [[0, 0, 0], [1, 0, 0]],
-            [[1, 1, 1]] * 12,
-            [[t, 2 * t, -t] for t in range(12)],
-            [[t, 0, 1e-9 * (-1) ** t] for t in range(12)],
+            [[1, 2, 3]], [[0, 0, 0], [1, 0, 0]], [[1, 1, 1]] * 12,
+            [[t, 2 * t, -t] for t in range(12)], [[t, 0, 1e-9 * (-1) ** t] for t in range(12)],
         ],
         ids=["alone", "pair", "duplicates", "line", "line with rounding"],
-    )
+    )  # fmt: skip
     def test_what_has_no_plane_has_no_normal(self, xyz):
         xyz = np.array(xyz, float)
         normals, variation = upward_normals(xyz, nearest_neighbours(xyz, 5)[1])

@@ -1,7 +1,3 @@
-"""Triangulated terrain and what it hides, against Moeller-Trumbore over all triangles."""
-
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Points that stand alone are told from those in company."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

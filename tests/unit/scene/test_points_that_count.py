@@ -1,7 +1,3 @@
-"""Points that take no part, and points that are there twice."""
-
-from __future__ import annotations
-
 import shutil
 
 import laspy
@@ -24,14 +20,9 @@ XYZ = random_points(4000, extent=(60.0, 30.0, 0.02))
 
 def ingested(folder, *clouds, **options):
     ingest(
-        list(clouds),
-        UnitChoice(),
-        None,
-        50.0,
-        folder / "cloud.parquet",
-        folder / "frame.json",
+        list(clouds), UnitChoice(), None, 50.0, folder / "cloud.parquet", folder / "frame.json",
         **options,
-    )
+    )  # fmt: skip
     return CloudTiles(folder / "cloud.parquet"), read_json(folder / "frame.json")
 
 

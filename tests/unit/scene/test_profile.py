@@ -1,7 +1,3 @@
-"""Scene profile: counted scenes with a known answer, and slow references."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -225,7 +221,6 @@ def test_bad_input_of_the_stage(tmp_path, capsys):
     assert not out.exists()
 
 
-@pytest.mark.real
 @needs_data
 def test_real_profile(tmp_path):
     files = tmp_path / "cloud.parquet", tmp_path / "frame.json"

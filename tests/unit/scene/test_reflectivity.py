@@ -1,7 +1,3 @@
-"""Reflectivity of surfaces from intensities."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

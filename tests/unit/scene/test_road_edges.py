@@ -1,7 +1,3 @@
-"""Road edges of rasterised roads whose edges are known."""
-
-from __future__ import annotations
-
 from unittest import mock
 
 import cv2
@@ -71,16 +67,11 @@ def write_top(folder, xyz, cls):
     write_json(folder / "frame.json", FRAME.to_dict())
 
 
-def extract(folder, *extra):
-    names = {
-        "top": "top.tif",
-        "frame": "frame.json",
-        "edges": "edges.parquet",
-        "lines": "edges.gpkg",
-    }
-    paths = [word for name, file in names.items() for word in (f"--{name}", str(folder / file))]
-    assert extract_road_edges.main([*paths, *extra]) == 0
-    return read_table(folder / "edges.parquet")
+def extract(folder, *extra, code=0):
+    names = {"top": "tif", "frame": "json", "edges": "parquet", "lines": "gpkg"}
+    paths = [f"--{name}={folder / name}.{end}" for name, end in names.items()]
+    assert extract_road_edges.main([*paths, *extra]) == code
+    return None if code else read_table(folder / "edges.parquet")
 
 
 @pytest.mark.parametrize("density", [6.0, 30.0])
@@ -106,7 +97,7 @@ def test_edges_lie_on_the_true_edges_and_ends_are_none(tmp_path, density):
     off = np.degrees(np.arcsin(np.abs(tangent @ [-turn[1], turn[0]])))
     assert np.percentile(off, 90) < (3 if density > 10 else 8)
     assert read_about(tmp_path / "edges.parquet")["cell_size_m"] == pytest.approx(CELL)
-    lines = pyogrio.read_dataframe(tmp_path / "edges.gpkg", layer="road_edges")
+    lines = pyogrio.read_dataframe(tmp_path / "lines.gpkg", layer="road_edges")
     assert len(lines) == 2
     native = np.array(lines.geometry[0].coords)
     own = edges.loc[edges["polyline"] == 0, ["x", "y", "z"]].to_numpy()
@@ -124,7 +115,7 @@ def test_pixels_are_the_papers_edge_pixels_and_coarser(tmp_path):
     local = pixels[["x", "y"]].to_numpy() / CELL
     np.testing.assert_allclose(local % 1.0, 0.5, atol=1e-4)
     assert np.std(error) > 0.08  # what the outline is for
-    assert set(pyogrio.read_dataframe(tmp_path / "edges.gpkg").geometry.geom_type) == {"Point"}
+    assert set(pyogrio.read_dataframe(tmp_path / "lines.gpkg").geometry.geom_type) == {"Point"}
 
 
 @settings(max_examples=6, deadline=None)
@@ -191,10 +182,8 @@ def test_nothing_in_nothing_out(tmp_path):
     assert len(edge_lines([], image, CELL, RoadEdges()).place) == 0
     xyz, cls, _ = road_cloud(density=2.0, size=(30.0, 30.0))
     write_top(tmp_path, xyz, np.full_like(cls, 2))
-    names = {"top": "top.tif", "frame": "frame.json", "edges": "e.parquet", "lines": "e.gpkg"}
-    paths = [word for name, file in names.items() for word in (f"--{name}", str(tmp_path / file))]
-    assert extract_road_edges.main(paths) == 2
-    assert not (tmp_path / "e.parquet").exists()
+    extract(tmp_path, code=2)
+    assert not (tmp_path / "edges.parquet").exists()
 
 
 def test_sparse_clouds_are_closed_wider():

@@ -1,5 +1,3 @@
-"""Passing vehicles on the pavement."""
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Voxel classes against a dictionary of counters, and the stage against any tiling and order."""
-
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from unittest import mock
 
@@ -163,16 +159,6 @@ def test_metres_and_feet_give_the_same_voxels():
     origin = tuple(v / FOOT for v in (100.0, 200.0, 5.0))
     in_feet = voxelise(xyz, cls, Frame(origin, FOOT, FOOT))
     assert as_dict(*in_metres) == as_dict(*in_feet)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.tuples(*[st.integers(-50, 50)] * 3))
-def test_moving_the_cloud_by_whole_cells_moves_the_indices(step):
-    xyz, cls = cloud(6)
-    here = as_dict(*voxelise(xyz, cls, Frame((10.0, 20.0, 30.0)), 0.5))
-    origin = tuple(o + 0.5 * s for o, s in zip((10.0, 20.0, 30.0), step, strict=True))
-    there = as_dict(*voxelise(xyz, cls, Frame(origin), 0.5))
-    assert there == {tuple(np.add(k, step).tolist()): v for k, v in here.items()}
 
 
 def runs_of(grid, xyz, cls):

@@ -1,5 +1,3 @@
-"""Covers near the bound of a relaxation, found or excluded without linear programs."""
-
 import itertools
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Bounds of large instances by interior points, and covers where they are used."""
-
 import numpy as np
 import pytest
 from scipy import sparse

@@ -1,5 +1,3 @@
-"""Cuts that no whole cover breaks, and proofs on a few targets."""
-
 import itertools
 
 import numpy as np

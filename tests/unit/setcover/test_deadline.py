@@ -1,5 +1,3 @@
-"""Limits of work, and searches that end where nothing moves."""
-
 import numpy as np
 import pytest
 from scipy import sparse

@@ -1,7 +1,3 @@
-"""What deployments may not claim."""
-
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

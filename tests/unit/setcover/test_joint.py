@@ -1,7 +1,3 @@
-"""Covers at a joint probability: every answer against trying all sets of choices."""
-
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

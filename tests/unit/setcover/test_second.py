@@ -1,7 +1,3 @@
-"""Of the cheapest covers the one that sees most again, against all of them."""
-
-from __future__ import annotations
-
 import time
 from itertools import combinations
 

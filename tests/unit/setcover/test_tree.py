@@ -1,5 +1,3 @@
-"""The tree that covers and deployments share: order, bounds where it stops, how nodes change."""
-
 import itertools
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Plans as one integer program of HiGHS."""
-
 import numpy as np
 import pytest
 

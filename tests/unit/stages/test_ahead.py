@@ -1,5 +1,3 @@
-"""Items worked on in other threads while the results before them are used."""
-
 import threading
 import time
 

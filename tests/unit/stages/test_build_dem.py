@@ -1,7 +1,3 @@
-"""What the stage of the terrain model tells beside its results."""
-
-from __future__ import annotations
-
 import json
 
 import laspy

@@ -1,7 +1,3 @@
-"""Lists of a user beside a site: what matches becomes a doubt, or a refusal."""
-
-from __future__ import annotations
-
 import json
 
 import cv2

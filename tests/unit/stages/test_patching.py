@@ -1,7 +1,3 @@
-"""Snakemake is changed only where it is what the change was written for."""
-
-from __future__ import annotations
-
 from snakemake.output_index import OutputIndex
 from snakemake.scheduling.job_scheduler import JobScheduler
 

@@ -1,7 +1,3 @@
-"""What a run says: one line a step, true progress, time left."""
-
-from __future__ import annotations
-
 from logging import ERROR, INFO, WARNING, LogRecord
 from types import SimpleNamespace
 
@@ -139,12 +135,9 @@ def test_errors_and_warnings_are_said_and_chatter_is_not(capsys):
     lines.emit(record(WARNING, "a warning"))
     lines.emit(record(ERROR, "it broke", event=LogEvent.ERROR, exception="X"))
     assert capsys.readouterr().err.splitlines() == [
-        "Nothing to be done (all requested files are present).",
-        "Lints for rule a",
-        "1 step to do",
-        "a warning",
-        "it broke",
-    ]
+        "Nothing to be done (all requested files are present).", "Lints for rule a", "1 step to do",
+        "a warning", "it broke",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

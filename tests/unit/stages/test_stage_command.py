@@ -1,7 +1,3 @@
-"""What every stage does when the machine or its inputs let it down."""
-
-from __future__ import annotations
-
 import argparse
 import errno
 import os

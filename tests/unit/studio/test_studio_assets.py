@@ -1,7 +1,3 @@
-"""The pages' files: small modules, nothing from elsewhere, licences beside what is bundled."""
-
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,9 +1,4 @@
-"""What a what-if may choose and what it costs: as the solver has it."""
-
-from __future__ import annotations
-
 import json
-import shutil
 
 import geopandas as gpd
 import numpy as np
@@ -16,8 +11,8 @@ from roadsight.io.vector.vectors import write_geojson
 from roadsight.stages.placement import solve_cover
 from roadsight.studio.layout import Layouts
 from roadsight.studio.project import Project
-from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
+from tests.helpers.small_workflow import without_sites
 
 SETTINGS = {"shards": 1, "coverage": {"shards": 1, "uncoverable": "exclude"}}
 SENSOR = "OS1-32"
@@ -72,10 +67,7 @@ class Street:
 
 @pytest.fixture
 def street(tmp_path, monkeypatch):
-    shutil.copytree(PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
-    (tmp_path / "config/sites").mkdir()
-    (tmp_path / "Snakefile").touch()
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(without_sites(tmp_path))
     return Street(tmp_path)
 
 

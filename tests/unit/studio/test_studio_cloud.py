@@ -1,7 +1,3 @@
-"""Levels of detail: no point lost, none twice, coarse levels even."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

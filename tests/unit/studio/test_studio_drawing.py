@@ -1,7 +1,3 @@
-"""Drawings become the files that the workflow reads, byte for byte the same each time."""
-
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -295,13 +291,10 @@ def test_other_kinds_of_requests_are_refused(client):
 @pytest.mark.parametrize(
     ("file", "ask"),
     [
-        ("scene/frame.json", "cloud"),
-        ("scene/cloud.parquet", "cloud"),
-        ("scene/dem.tif", "cloud"),
-        ("scene/pavement.gpkg", "drawing"),
-        ("placement/edges.gpkg", "drawing"),
+        ("scene/frame.json", "cloud"), ("scene/cloud.parquet", "cloud"), ("scene/dem.tif", "cloud"),
+        ("scene/pavement.gpkg", "drawing"), ("placement/edges.gpkg", "drawing"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("content", [b"", b"garbage", None])
 def test_broken_results_are_told_by_their_file(client, file, ask, content):
     path = Path("results/tiny") / file

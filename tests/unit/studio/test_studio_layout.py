@@ -1,9 +1,3 @@
-"""What-if: coverage of sensors that stand elsewhere, against counting pair by pair."""
-
-from __future__ import annotations
-
-import shutil
-
 import numpy as np
 import pytest
 import yaml
@@ -11,20 +5,16 @@ import yaml
 from roadsight.base.errors import InputError
 from roadsight.studio.layout import Layouts, WhatIf
 from roadsight.studio.project import Project
-from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
+from tests.helpers.small_workflow import without_sites
 
-ROOT = PROJECT
 SETTINGS = {"shards": 1, "coverage": {"shards": 1, "uncoverable": "exclude"}}
 PLAN = "puck-32c-or-os-32"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    root = tmp_path_factory.mktemp("project")
-    shutil.copytree(ROOT / "config", root / "config", ignore=shutil.ignore_patterns("sites"))
-    (root / "config/sites").mkdir()
-    (root / "Snakefile").touch()
+    root = without_sites(tmp_path_factory.mktemp("project"))
     site = {"site": "tiny", "jobs": ["placement"], "clouds": ["x.laz"], "settings": SETTINGS}
     (root / "config/sites/tiny.yaml").write_text(yaml.safe_dump(site))
     ReportSite(root / "results", "tiny", hidden=0.1)

@@ -1,26 +1,17 @@
-"""A cloud of this machine becomes a site; what is not sure is told first."""
-
-from __future__ import annotations
-
-import shutil
-
 import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.studio.project import Project
 from roadsight.studio.site_files import CloudBody, new_site
-from tests.conftest import PROJECT
 from tests.helpers.las_files import random_points, wkt_of, write_las
+from tests.helpers.small_workflow import without_sites
 
 UTM = wkt_of("EPSG:25832")
 
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    shutil.copytree(PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
-    (tmp_path / "config/sites").mkdir()
-    (tmp_path / "Snakefile").touch()
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(without_sites(tmp_path))
     return Project(tmp_path)
 
 

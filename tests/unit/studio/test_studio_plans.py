@@ -1,7 +1,3 @@
-"""Plans saved from the studio: the workflow reads them as they were meant; files to take away."""
-
-from __future__ import annotations
-
 import io
 import json
 import shutil
@@ -30,6 +26,7 @@ from roadsight.studio.project import Project
 from roadsight.studio.site_files import OutdatedError
 from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
+from tests.helpers.small_workflow import without_sites
 
 SETTINGS = {"shards": 1, "coverage": {"shards": 1, "uncoverable": "exclude"}}
 PLAN = "puck-32c-or-os-32"
@@ -38,10 +35,7 @@ HEAD = "# Our road\nsite: tiny\nclouds: [x.laz]\njobs: [placement] # for now\n"
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    root = tmp_path_factory.mktemp("project")
-    shutil.copytree(PROJECT / "config", root / "config", ignore=shutil.ignore_patterns("sites"))
-    (root / "config/sites").mkdir()
-    (root / "Snakefile").touch()
+    root = without_sites(tmp_path_factory.mktemp("project"))
     ReportSite(root / "results", "tiny", hidden=0.1)
     return root
 

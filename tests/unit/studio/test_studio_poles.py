@@ -1,8 +1,3 @@
-"""Decisions on poles in the studio's files, and in what the workflow makes of them."""
-
-from __future__ import annotations
-
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +11,13 @@ from roadsight.poles.triangulate.site import apply_decisions
 from roadsight.studio import pole_review
 from roadsight.studio.pole_review import Decision, Pictures, review, save_decisions
 from roadsight.studio.project import Project
-from tests.conftest import PROJECT
 from tests.helpers.report_poles import PolesSite
-
-ROOT = PROJECT
+from tests.helpers.small_workflow import without_sites
 
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    shutil.copytree(ROOT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
-    (tmp_path / "config/sites").mkdir()
-    (tmp_path / "Snakefile").touch()
+    without_sites(tmp_path)
     poles = {"videolog": "videolog.csv", "images": "images", "masks": [{"model": "m.yaml"}]}
     site = {"site": "drive", "jobs": ["poles"], "clouds": ["x.laz"], "poles": poles}
     text = "# mine\n" + yaml.safe_dump(site | {"settings": {"shards": 2}})

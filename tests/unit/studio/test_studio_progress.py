@@ -1,7 +1,3 @@
-"""Progress, time left and reasons from the events of the logger plugin."""
-
-from __future__ import annotations
-
 import json
 from logging import ERROR, INFO, WARNING, LogRecord
 from typing import get_args
@@ -27,14 +23,9 @@ from snakemake_logger_plugin_roadsight.events import entry
 
 def begun(number, rule, time, **more):
     return {
-        "event": "job_info",
-        "time": time,
-        "jobid": number,
-        "rule_name": rule,
-        "wildcards": {"site": "a"},
-        "log": [f"{number}.log"],
-        **more,
-    }
+        "event": "job_info", "time": time, "jobid": number, "rule_name": rule,
+        "wildcards": {"site": "a"}, "log": [f"{number}.log"], **more,
+    }  # fmt: skip
 
 
 def finished(number, time):

@@ -1,14 +1,8 @@
-"""The list of sites: own ones first, and why a page cannot work on a site."""
-
-from __future__ import annotations
-
-import shutil
-
 import pytest
 import yaml
 
 from roadsight.studio.project import Project
-from tests.conftest import PROJECT
+from tests.helpers.small_workflow import without_sites
 
 POLES = {"videolog": "v.csv", "images": ".", "masks": [{"labels": "l", "map": "m.yaml"}]}
 SITES = {
@@ -23,10 +17,8 @@ SITES = {
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    shutil.copytree(PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
-    (tmp_path / "config/sites").mkdir()
+    without_sites(tmp_path)
     (tmp_path / "config/sites/z.laz").touch()
-    (tmp_path / "Snakefile").touch()
     config = tmp_path / "config/config.yaml"
     config.write_text(
         config.read_text().replace("sites: [sample, sample_rural]", "sites: [a_sample, z_own]")

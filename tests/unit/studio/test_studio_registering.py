@@ -1,7 +1,3 @@
-"""Registration on the server: what is before a camera, errors, baselines by hand."""
-
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -235,13 +231,9 @@ def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, fo
     site, key = project.site("drive"), ("40001", 800, 400)
     assert lens_for(site, key) is None
     lens = {
-        "route": key[0],
-        "width_px": 800,
-        "height_px": 400,
-        "k1": -0.2,
-        "k2": 0.0,
+        "route": key[0], "width_px": 800, "height_px": 400, "k1": -0.2, "k2": 0.0,
         "scale_px": 400.0,
-    }
+    }  # fmt: skip
     write_json(folder / "results/drive/poles/drive.json", {"lenses": [lens]})
     effects = folder / "results/drive/effects.json"
     before = effects.read_bytes() if effects.exists() else None

@@ -1,7 +1,3 @@
-"""The studio plans, starts, watches and stops a real Snakemake, one run at a time."""
-
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -146,12 +142,9 @@ def within_s(limit_s, condition):
 def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
     (tmp_path / "slow").touch()
     process = subprocess.Popen(
-        [sys.executable, "-m", "snakemake", "--cores", "1"],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+        [sys.executable, "-m", "snakemake", "--cores", "1"], cwd=tmp_path,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
     try:
         within_s(10, lambda: processes_outside(tmp_path))  # its arguments are not there at once
         assert [found["pid"] for found in processes_outside(tmp_path)] == [process.pid]

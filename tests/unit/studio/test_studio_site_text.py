@@ -1,7 +1,3 @@
-"""One value of a site file changes; comments, order and everything else stay."""
-
-from __future__ import annotations
-
 import pytest
 import yaml
 from hypothesis import example, given

@@ -1,7 +1,3 @@
-"""Clicks beside a kerb or a painted line land on it; on plain ground they stay."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

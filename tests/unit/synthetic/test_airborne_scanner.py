@@ -1,5 +1,3 @@
-"""The airborne cloud of the rural site against the site itself."""
-
 from dataclasses import replace
 
 import numpy as np

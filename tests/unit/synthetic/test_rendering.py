@@ -1,5 +1,3 @@
-"""Rendered views: exact depth and classes, poles where the truth says, the same pixels twice."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The rural site: its line, its ground, what lies where, its posts."""
-
 import numpy as np
 import pytest
 import shapely
@@ -140,12 +138,8 @@ def test_the_full_site_has_thirty_to_forty_utility_poles():
     site = build_rural(1, 1000.0, detail=0.01)
     assert 30 <= sum(pole.kind == "utility" for pole in site.poles) <= 40
     assert {pole.kind for pole in site.poles} == {
-        "utility",
-        "sign",
-        "delineator",
-        "fence",
-        "mailbox",
-    }
+        "utility", "sign", "delineator", "fence", "mailbox",
+    }  # fmt: skip
 
 
 def test_the_site_lies_in_western_north_carolina_in_us_feet(site):

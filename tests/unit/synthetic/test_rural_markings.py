@@ -1,5 +1,3 @@
-"""Roads of several lanes: what is painted where, and that the usual road stays as it was."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The stages that write the rural site."""
-
 import hashlib
 import zipfile
 from functools import partial
@@ -42,14 +40,8 @@ def test_generate_twice_gives_the_same_bytes(tmp_path):
     assert one == two
     table = pd.read_csv(tmp_path / "a" / "v.csv", keep_default_na=False)
     assert list(table.columns) == [
-        "image",
-        "left_image",
-        "right_image",
-        "latitude",
-        "longitude",
-        "route",
-        "sequence",
-    ]
+        "image", "left_image", "right_image", "latitude", "longitude", "route", "sequence",
+    ]  # fmt: skip
     text = (tmp_path / "a" / "v.csv").read_text().splitlines()[1].split(",")
     assert len(text[3].split(".")[1]) == 7
 

@@ -1,7 +1,3 @@
-"""The sample site against the numbers that describe it."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -78,16 +74,8 @@ def test_classes_and_materials_follow_the_offset(site):
     assert np.isfinite(heights).all()
     names = [MATERIAL_NAMES[code] for code in site.ground_materials(xy)]
     assert names == [
-        "soil",
-        "soil",
-        "asphalt",
-        "asphalt",
-        "marking",
-        "asphalt",
-        "grass",
-        "asphalt",
-        "grass",
-    ]
+        "soil", "soil", "asphalt", "asphalt", "marking", "asphalt", "grass", "asphalt", "grass",
+    ]  # fmt: skip
 
 
 def test_lane_lines_are_dashed_and_edge_lines_solid():

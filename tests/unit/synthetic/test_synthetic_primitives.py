@@ -1,7 +1,3 @@
-"""Closed-form intersections against dense sampling of implicit functions."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -56,21 +52,15 @@ def sampled_range(kind, origin, direction, half):
 def one_body(kind, half, centre=(0.0, 0.0, 0.0), rotation=None):
     rotation = np.eye(3) if rotation is None else rotation
     return Bodies(
-        np.array([kind], np.int8),
-        np.array([centre], float),
-        np.array([rotation]),
-        np.array([half], float),
-        np.zeros(1, np.int32),
-    )
+        np.array([kind], np.int8), np.array([centre], float), np.array([rotation]),
+        np.array([half], float), np.zeros(1, np.int32),
+    )  # fmt: skip
 
 
 HALVES = {
-    RECTANGLE: (1.5, 0.8, 0.0),
-    BOX: (1.5, 0.8, 0.4),
-    CYLINDER: (0.7, 0.7, 1.2),
-    TUBE: (0.7, 0.7, 1.2),
-    ELLIPSOID: (1.5, 0.8, 0.4),
-}
+    RECTANGLE: (1.5, 0.8, 0.0), BOX: (1.5, 0.8, 0.4), CYLINDER: (0.7, 0.7, 1.2),
+    TUBE: (0.7, 0.7, 1.2), ELLIPSOID: (1.5, 0.8, 0.4),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", list(HALVES))

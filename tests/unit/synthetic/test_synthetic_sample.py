@@ -1,7 +1,3 @@
-"""The stage that writes the sample."""
-
-from __future__ import annotations
-
 import json
 
 import laspy

@@ -1,7 +1,3 @@
-"""The mobile scanner: geometry, statistics of the noise, repeatability."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Casting through the grid against casting at everything, and against dense sampling."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np

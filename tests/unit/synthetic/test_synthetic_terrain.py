@@ -1,7 +1,3 @@
-"""Road coordinates and the exact ground."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,22 +19,10 @@ def alignment_of(curvature, heading=0.7):
 def rough(rng):
     """Rough ground on a tight curve with a kinked profile."""
     return ground.Terrain(
-        alignment_of(1 / 90),
-        20.0,
-        0.05,
-        np.array([-9.0, -1.05, -1.0, 0.0, 4.0, 4.1]),
-        np.array([-3.0, 0.12, 0.0, 0.0, -0.1, 1.0]),
-        rng.uniform(-0.2, 0.2, (70, 90)),
-        -1.0,
-        -11.0,
-        0.5,
-        0.25,
-        0.0,
-        30.0,
-        -10.0,
-        10.0,
-        0,
-    )
+        alignment_of(1 / 90), 20.0, 0.05, np.array([-9.0, -1.05, -1.0, 0.0, 4.0, 4.1]),
+        np.array([-3.0, 0.12, 0.0, 0.0, -0.1, 1.0]), rng.uniform(-0.2, 0.2, (70, 90)), -1.0, -11.0,
+        0.5, 0.25, 0.0, 30.0, -10.0, 10.0, 0,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("curvature", CURVES)

@@ -1,5 +1,3 @@
-"""Drives of the generated videolog: cameras, mounts, GPS, tables."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Training pairs of the depth network, their patches, and that training repeats itself."""
-
 import json
 
 import numpy as np

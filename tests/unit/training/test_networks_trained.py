@@ -1,5 +1,3 @@
-"""The shipped networks: they fit their manifests, see roads and poles, and repeat themselves."""
-
 from functools import cache
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Training of the small networks: crops, measures, losses, and that training repeats itself."""
-
 import cv2
 import numpy as np
 import pytest

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools, Floats, Floats32, Ints, Numbers
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints, Ints32, Numbers
 from roadsight.base.engines import OWN, Engine, open3d
 from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.voxel_planes import (
@@ -120,6 +120,7 @@ _PAIRED = 12  # the nearest of them give planes to try: each two, with the point
 _SPACING_OF_SIXTH = 1 / 1.38  # spacing of evenly spread points over the distance of the sixth
 # Points farther apart than this carry no plane, spacings of the cloud in plan; of each doubling.
 _WIDEST = (6.0, 3.0, 3.0)
+_COARSEST = 2.0  # coarser voxels are asked up to this edge, spacings of the cloud in plan
 _BLOCK_DOUBLINGS = 6  # that spacing is a mean over blocks of 2**6 of the finest voxels, 6.4 m
 _NEAR_PLANE = 0.25  # points this near to a plane are on it, spacings; or this, for the noise:
 _NEAR_PLANE_M = 0.03
@@ -129,6 +130,7 @@ _ACROSS = 0.35  # variance of a plane's points along both its axes, squared spac
 _SLIM = 0.12  # and that along the shorter axis over that along the longer one
 _ALIKE = 0.9  # cosine between the normals of one surface
 _CONSISTENT = 0.6  # share of a plane's points that have to find it, too, where points are dense
+_AT_ONCE = 100_000  # points whose neighbours are looked up at one time: it bounds memory
 _ONE_POINT = np.array([1.0] + [0.0] * 9)  # moments of a point about itself
 # How far a surfel reaches to each side, in spacings. Where its surface goes on:
 _ON = 1.4
@@ -157,17 +159,17 @@ def _sparse_surfels(
         rows = np.searchsorted(voxels.keys, keys)
         points = unpack_keys(voxels.keys) + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
         points *= voxels.edge_m
-        away, near = cKDTree(points).query(points[rows], min(_NEIGHBOURS, len(points)))
-        found, centre, normal, half_m, on = _agreed_planes(points, rows, away, near)
         most_m = np.zeros(len(keys))
-        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left])
-        found &= away[:, 6] * _SPACING_OF_SIXTH <= most_m
-        alone = np.zeros(len(left), bool)
+        sparse = (level == 0) | (voxels.edge_m <= _COARSEST * spacing_m[left])
+        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left] * sparse)
+        planes = _agreed_planes(points, rows, most_m)
+        found, alone = planes.found, np.zeros(len(left), bool)
         if level == 0:
-            alone = crowded & ~_consistent(found, normal, rows, near, on, len(points))
-            found &= ~alone
+            alone = crowded & ~_consistent(planes, rows, len(points))
+            found = found & ~alone
         thin.append(pending[left[alone]])
-        parts.append(_as_surfels(centre[found], normal[found], half_m[found]))
+        rectangles = planes.centre_m, planes.normal, planes.half_m
+        parts.append(_as_surfels(*(part[found] for part in rectangles)))
         left, voxels = left[~found[member] & ~alone], coarsen(voxels)
     return parts, np.sort(np.concatenate([*thin, pending[left]]))
 
@@ -185,11 +187,39 @@ def _plan_spacing_m(voxels: VoxelMoments, keys: Ints) -> Floats:
     return voxels.edge_m * 2**_BLOCK_DOUBLINGS / np.sqrt(points)
 
 
+class _Agreed(NamedTuple):
+    """Planes that the points around some points agree on.
+
+    Parameters
+    ----------
+    found : (n,) whether they agree on one. normal : (n, 3) of it.
+    centre_m, half_m : (n, 3), (n, 2) of its rectangle, as of `Surfels`.
+    near : (n, 28) rows of the nearest points. on : (n, 28) those of them that are on it.
+    """
+
+    found: Bools
+    centre_m: Floats
+    normal: Floats
+    half_m: Floats
+    on: Bools
+    near: Ints32
+
+
+def _agreed_planes(points: Floats, rows: Ints, most_m: Floats) -> _Agreed:
+    """Planes around rows (n,) of points (m, 3); none where these are more than ``most_m`` apart."""
+    tree, parts = cKDTree(points), []
+    for begin in range(0, len(rows), _AT_ONCE):
+        some = rows[begin : begin + _AT_ONCE]
+        away, near = tree.query(points[some], min(_NEIGHBOURS, len(points)))
+        planes = _planes_of(points, some, away, near, most_m[begin : begin + _AT_ONCE])
+        parts.append((*planes, near.astype(np.int32)))
+    return _Agreed(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
 @compiled()
-def _agreed_planes(
-    points: Floats, rows: Ints, away: Floats, near: Ints
+def _planes_of(
+    points: Floats, rows: Ints, away: Floats, near: Ints, most_m: Floats
 ) -> tuple[Bools, Floats, Floats, Floats, Bools]:
-    """Whether the points around each row agree on a plane through it, its rectangle and points."""
     n, count = near.shape
     found, all_on = np.zeros(n, np.bool_), np.zeros((n, count), np.bool_)
     centre, normal, half_m = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
@@ -197,6 +227,8 @@ def _agreed_planes(
     needed = max(_SUPPORTERS, _SUPPORT * count)
     for i in range(n):
         spacing_m = away[i, 6] * _SPACING_OF_SIXTH
+        if spacing_m > most_m[i]:
+            continue
         tolerance_m = max(_NEAR_PLANE_M, _NEAR_PLANE * spacing_m)
         for j in range(count):
             offset[j] = points[near[i, j]] - points[rows[i]]
@@ -267,10 +299,9 @@ def _refit(
 
 
 @compiled()
-def _consistent(
-    found: Bools, normal: Floats, rows: Ints, near: Ints, on: Bools, points: int
-) -> Bools:
+def _consistent(planes: _Agreed, rows: Ints, points: int) -> Bools:
     """Planes that the points on them found, too: among leaves each point finds another one."""
+    found, normal, on, near = planes.found, planes.normal, planes.on, planes.near
     row_of = np.full(points, -1, np.int64)
     for i in range(len(rows)):
         row_of[rows[i]] = i

@@ -16,6 +16,7 @@ use rule step as place_candidates with:
         decided=after_profile("overhead_cover"),
     output:
         out="results/{site}/placement/round-0/candidates.parquet",
+        doubts="results/{site}/doubts/place_candidates.json",
     resources:
         **holding_cloud(60),
     params:

@@ -135,7 +135,7 @@ def placement_doubts(wildcards):
     """Files in which the placement stages tell what their answers rest on."""
     folder = f"results/{wildcards.site}/doubts"
     plans = [f"{folder}/solve_cover/{plan}.json" for plan in plans_of(wildcards.site)]
-    return [f"{folder}/place_targets.json", *plans]
+    return [f"{folder}/place_candidates.json", f"{folder}/place_targets.json", *plans]
 
 
 # Points of passing vehicles, where the site asks to clear them.

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -108,11 +106,6 @@ class TestFreeHeights:
         assert (np.diff(found) > step - 1e-6).all()
         if points and len(found):
             assert np.abs(np.subtract.outer(found, points)).min() >= step / 2 - 1e-6
-
-    def test_order_and_repeats_of_the_points_do_not_matter(self, rng):
-        points = rng.uniform(0, 12, 9)
-        expected = free_heights_m(points, SETTINGS)
-        assert (free_heights_m(rng.permutation(np.tile(points, 3)), SETTINGS) == expected).all()
 
     def test_a_wider_gap_factor_frees_less(self):
         points = np.array([0.0, 5.0, 6.3, 8.9, 12.0])
@@ -234,11 +227,3 @@ class TestStack:
         stacked = stack_candidates(table, points, points[:, 2], SETTINGS)
         assert len(stacked) == 0
         assert set(stacked) == {*table, "height_m", "z", "candidate", "wall_m"}
-
-    def test_the_order_of_the_points_does_not_matter(self, rng):
-        table = positions(("a", 0.0, 0.0, 0.0, 0.0, "a", 0.0, "edge"))
-        points = rng.uniform([-0.5, -0.5, 0], [0.5, 0.5, 9], (12, 3))
-        shuffled = rng.permutation(points)
-        first = stack_candidates(table, points, points[:, 2], SETTINGS)
-        second = stack_candidates(table, shuffled, shuffled[:, 2], SETTINGS)
-        pd.testing.assert_frame_equal(first, second)

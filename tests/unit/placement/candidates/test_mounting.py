@@ -16,15 +16,11 @@ from roadsight.placement.candidates.mounting import (
 def candidates():
     return pd.DataFrame(
         {
-            "candidate": list("abcd"),
-            "mount": ["edge", "edge", "median", "pole"],
-            "x": [0.0, 100.0, 200.0, 300.0],
-            "y": 0.0,
-            "height_m": [4.0, 6.0, 6.0, 5.0],
-            "off_pavement_m": [0.4, 3.0, 0.4, 0.2],
-            "wall_m": [2.0, 0.6, 2.0, 0.5],
+            "candidate": list("abcd"), "mount": ["edge", "edge", "median", "pole"],
+            "x": [0.0, 100.0, 200.0, 300.0], "y": 0.0, "height_m": [4.0, 6.0, 6.0, 5.0],
+            "off_pavement_m": [0.4, 3.0, 0.4, 0.2], "wall_m": [2.0, 0.6, 2.0, 0.5],
         }
-    )
+    )  # fmt: skip
 
 
 CABINETS = pd.DataFrame({"id": ["k1", "k2"], "x": [0.0, 290.0], "y": [30.0, 0.0]})
@@ -58,13 +54,9 @@ def test_rules(candidates, rules, allowed):
 
 def test_costs_add_up(candidates):
     rules = Mounting(
-        mast_cost=2.0,
-        mast_cost_per_m=0.1,
-        foundation_cost=0.5,
-        clear_zone_m=1.0,
-        shielding_cost=3.0,
-        cable_cost_per_m=0.01,
-    )
+        mast_cost=2.0, mast_cost_per_m=0.1, foundation_cost=0.5, clear_zone_m=1.0,
+        shielding_cost=3.0, cable_cost_per_m=0.01,
+    )  # fmt: skip
     cable_m = cable_lengths_m(candidates, CABINETS, rules, "cabinets")
     assert cable_m == pytest.approx([30.0, np.hypot(100, 30), 90.0, 10.0])
     expected = [2.9 + 3 + 0.3, 3.1 + 0.01 * np.hypot(100, 30), 3.1 + 3 + 0.9, 0.1]

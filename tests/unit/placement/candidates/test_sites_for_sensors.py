@@ -1,7 +1,3 @@
-"""Existing poles carry sensors on arms; zones keep sensors out."""
-
-from __future__ import annotations
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -97,19 +93,17 @@ def test_the_stage_hangs_sensors_on_poles_and_keeps_zones_free(tmp_path):
     write_geojson(tmp_path / "zones.geojson", zone, site.frame)
     write_geojson(tmp_path / "mounts.geojson", hung, site.frame)
     files = {
-        "edges": "placement/edges.gpkg",
-        "pavement": "scene/pavement.gpkg",
-        "dem": "scene/dem.tif",
-        "cloud": "scene/cloud.parquet",
-        "frame": "scene/frame.json",
-    }
+        "edges": "placement/edges.gpkg", "pavement": "scene/pavement.gpkg", "dem": "scene/dem.tif",
+        "cloud": "scene/cloud.parquet", "frame": "scene/frame.json",
+    }  # fmt: skip
     arguments = [part for name, file in files.items() for part in (f"--{name}", site.path(file))]
     found = {}
     for name, options in (
         ("plain", []),
         ("drawn", ["--zones", tmp_path / "zones.geojson", "--mounts", tmp_path / "mounts.geojson"]),
     ):
-        out = ["--site", "tiny", "--out", tmp_path / f"{name}.parquet"]
+        out = ["--site", "tiny", "--doubts", tmp_path / "doubts.json"]
+        out += ["--out", tmp_path / f"{name}.parquet"]
         assert place_candidates.main([str(part) for part in [*arguments, *options, *out]]) == 0
         found[name] = read_table(tmp_path / f"{name}.parquet")
     in_zone = found["plain"]["x"].between(30, 50)

@@ -1,7 +1,3 @@
-"""Points that must carry a sensor find the choice that they mean."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

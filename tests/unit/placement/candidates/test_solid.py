@@ -1,7 +1,3 @@
-"""No sensor in, behind or above what a scan shows only in part; heights below overheads."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

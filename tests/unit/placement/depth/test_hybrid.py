@@ -9,12 +9,9 @@ from roadsight.placement.sensors.sensors import Sensor
 
 AROUND = Sensor(azimuth_step_deg=9, elevations_deg=(-30, -20, -12, -6, -2, 0, 5), range_m=40)
 PARTIAL = Sensor(
-    azimuth_min_deg=120,
-    azimuth_max_deg=255,
-    azimuth_step_deg=4.5,
-    elevations_deg=(-25, -10, -5, 0),
-    range_m=30,
-)
+    azimuth_min_deg=120, azimuth_max_deg=255, azimuth_step_deg=4.5,
+    elevations_deg=(-25, -10, -5, 0), range_m=30,
+)  # fmt: skip
 
 
 def cell_of(sensor, azimuth, elevation):

@@ -1,5 +1,3 @@
-"""Depth maps refined by a network: the way to it and back, degenerate cases, the shipped ones."""
-
 import json
 import subprocess
 import sys
@@ -194,13 +192,9 @@ class TestGrids:
 
     @settings(max_examples=20, deadline=None)
     @given(
-        st.integers(-100, 60),
-        st.integers(1, 30),
-        st.integers(1, 9),
-        st.integers(-1800, 1700),
-        st.sampled_from([1, 2, 5, 10]),
-        st.integers(0, 9),
-    )
+        st.integers(-100, 60), st.integers(1, 30), st.integers(1, 9), st.integers(-1800, 1700),
+        st.sampled_from([1, 2, 5, 10]), st.integers(0, 9),
+    )  # fmt: skip
     def test_beams_in_the_middle_of_cells_get_them_unchanged(
         self, low, rows, every, first, stride, seed
     ):
@@ -209,12 +203,9 @@ class TestGrids:
         elevations = [(low + every * i + 0.5) * 0.1 for i in range(rows)]
         start = (first - (stride - 1) / 2) * 0.1
         sensor = Sensor(
-            azimuth_min_deg=start,
-            azimuth_max_deg=start + 10,
-            azimuth_step_deg=stride * 0.1,
-            elevations_deg=elevations,
-            range_m=100,
-        )
+            azimuth_min_deg=start, azimuth_max_deg=start + 10, azimuth_step_deg=stride * 0.1,
+            elevations_deg=elevations, range_m=100,
+        )  # fmt: skip
         row = low + every * np.arange(rows) + 120
         column = (first + 1800 + stride * np.arange(sensor.columns)) % 3600
         np.testing.assert_array_equal(on_beams(depth, fine, sensor), depth[row][:, column])

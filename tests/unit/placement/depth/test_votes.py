@@ -1,5 +1,3 @@
-"""Votes of samples on beams: properties, and the kernels against slow references."""
-
 import numpy as np
 import pytest
 

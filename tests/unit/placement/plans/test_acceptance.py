@@ -1,7 +1,3 @@
-"""Poses of installed sensors on a street with a wall, poles and a truck."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,3 @@
-"""Hand-over and data: figures counted by hand."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from shapely import LineString

@@ -1,20 +1,11 @@
-"""What is told of targets and plans whose answers rest on little."""
-
 import pytest
 
 from roadsight.placement.plans.plan_doubts import SAID, plan_doubts, target_doubts
 
 SOLID = {
-    "plan": "p",
-    "status": "optimal",
-    "objective": 4.0,
-    "bound": 4.0,
-    "uncoverable_targets": 0,
-    "targets": 500,
-    "sensors": [{}] * 4,
-    "at_least": 1,
-    "proven_area_m2": 480.0,
-}
+    "plan": "p", "status": "optimal", "objective": 4.0, "bound": 4.0, "uncoverable_targets": 0,
+    "targets": 500, "sensors": [{}] * 4, "at_least": 1, "proven_area_m2": 480.0,
+}  # fmt: skip
 
 
 def test_nothing_is_told_of_solid_answers():

@@ -9,12 +9,9 @@ FINE = Sensor(
     azimuth_step_deg=1, elevation_min_deg=-60, elevation_max_deg=60, channels=97, range_m=40
 )
 HALF = Sensor(
-    azimuth_min_deg=100,
-    azimuth_max_deg=250,
-    azimuth_step_deg=0.75,
-    elevations_deg=(-30, -12, -7, -3, -1, 0, 1, 2, 9),
-    range_m=25,
-)
+    azimuth_min_deg=100, azimuth_max_deg=250, azimuth_step_deg=0.75,
+    elevations_deg=(-30, -12, -7, -3, -1, 0, 1, 2, 9), range_m=25,
+)  # fmt: skip
 
 
 def cylinder_range(origin, directions, foot, radius, height):

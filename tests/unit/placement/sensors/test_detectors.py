@@ -1,7 +1,3 @@
-"""Sensors of all kinds against a literal trace of every beam, pixel and point."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,14 +25,9 @@ SHAPE = Cylinder(RADIUS_M, HEIGHT_M)
 CAMERA = Camera(kind="camera", columns_px=320, rows_px=240, hfov_deg=60, min_pixels=8, range_m=90)
 ROSETTE = Rosette(kind="rosette", field_deg=70.4, points_per_s=2e5, frame_s=0.5, range_m=120)
 AVIA = Rosette(
-    kind="rosette",
-    field_deg=60,
-    lasers=6,
-    lasers_span_deg=6,
-    points_per_s=2e5,
-    frame_s=0.5,
+    kind="rosette", field_deg=60, lasers=6, lasers_span_deg=6, points_per_s=2e5, frame_s=0.5,
     range_m=120,
-)
+)  # fmt: skip
 RADAR = Radar(
     kind="radar",
     zones=[
@@ -46,14 +37,9 @@ RADAR = Radar(
     elevation_min_deg=-25,
 )
 SPINNING = Sensor(
-    azimuth_step_deg=0.4,
-    elevation_min_deg=-30,
-    elevation_max_deg=10,
-    channels=81,
-    range_m=100,
-    divergence_mrad=(4.0, 2.0),
-    aperture_mm=10,
-)
+    azimuth_step_deg=0.4, elevation_min_deg=-30, elevation_max_deg=10, channels=81, range_m=100,
+    divergence_mrad=(4.0, 2.0), aperture_mm=10,
+)  # fmt: skip
 CRITERIA = Criteria(min_beams=8, rcs_m2=0.16)
 POSE = st.tuples(
     st.floats(-170, 170), st.builds(Turn, st.floats(-60, 60), st.floats(-35, 5), st.floats(-30, 30))

@@ -1,7 +1,3 @@
-"""Range in rain, in fog and on dark targets: closed forms against integrals and bisection."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,3 @@
-"""Poses: one convention, names, and exact dominance."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

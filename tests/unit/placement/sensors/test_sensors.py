@@ -53,15 +53,12 @@ def test_real_channel_table_is_dense_around_the_horizon(project):
 @pytest.mark.parametrize(
     ("name", "columns", "turns_hz", "points_per_s"),
     [
-        ("VLP-16", 1800, 10, 300_000),
-        ("VLP-32C", 1800, 10, 600_000),
-        ("OS1-32", 2048, 10, 655_360),
-        ("OS1-64", 2048, 10, 1_310_720),
-        ("OS1-128", 2048, 10, 2_621_440),
-        ("OS1-128-1024x20", 1024, 20, 2_621_440),
+        ("VLP-16", 1800, 10, 300_000), ("VLP-32C", 1800, 10, 600_000),
+        ("OS1-32", 2048, 10, 655_360), ("OS1-64", 2048, 10, 1_310_720),
+        ("OS1-128", 2048, 10, 2_621_440), ("OS1-128-1024x20", 1024, 20, 2_621_440),
         ("OS1-64-512x20", 512, 20, 1_310_720),
     ],
-)
+)  # fmt: skip
 def test_products_send_no_more_points_than_they_can(project, name, columns, turns_hz, points_per_s):
     sensor = load_sensors(project / "config/sensors.yaml")[name]
     assert (sensor.columns, sensor.rotation_hz) == (columns, turns_hz)

@@ -1,7 +1,3 @@
-"""Beams on boxes: against every beam of the sensor, one by one, by the slab method."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""Sensors past the same vehicles: closed forms against drawn traffic."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -26,12 +22,9 @@ from tests.unit.placement.sight.test_lanes import straight_lanes
 LANES_Y = (1.75, 5.25, 8.75)
 PER_M = np.array([[0.012, 0.004], [0.02, 0.006], [0.015, 0.002]])
 SENSORS = {
-    "near": (0.0, -2.0, 5.0),
-    "beside": (6.0, -2.0, 6.0),
-    "far": (60.0, -2.0, 6.0),
-    "opposite": (-20.0, 13.0, 5.0),
-    "high": (0.0, -2.0, 9.0),
-}
+    "near": (0.0, -2.0, 5.0), "beside": (6.0, -2.0, 6.0), "far": (60.0, -2.0, 6.0),
+    "opposite": (-20.0, 13.0, 5.0), "high": (0.0, -2.0, 9.0),
+}  # fmt: skip
 TARGETS = np.array([[20.0, 8.75, 0.3], [5.0, 5.25, 0.3], [-40.0, 8.0, 0.3], [10.0, 11.0, 0.3]])
 
 

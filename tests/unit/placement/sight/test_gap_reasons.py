@@ -1,7 +1,3 @@
-"""Reasons of uncovered targets under weather, dark targets and traffic."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

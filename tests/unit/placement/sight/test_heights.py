@@ -1,7 +1,3 @@
-"""Beams by the height at which they enter targets: against every beam, one by one."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

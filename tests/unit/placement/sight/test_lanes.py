@@ -1,7 +1,3 @@
-"""Lanes on generated roads, and lines of sight across them against the closed form."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,3 @@
-"""Hand-over and data through the stage, on a road written by hand."""
-
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd
@@ -60,18 +56,10 @@ def folder(tmp_path):
 
 def test_figures_of_plan_and_sensors(folder):
     names = {
-        "solution": "solution",
-        "targets": "targets",
-        "frame": "frame.json",
-        "edges": "edges.gpkg",
-        "pavement": "pavement.gpkg",
-        "scans": "scans.laz",
-        "detections": "seen",
-        "depth": "depth",
-        "candidates": "candidates",
-        "out": "out.json",
-        "layers": "out.gpkg",
-    }
+        "solution": "solution", "targets": "targets", "frame": "frame.json", "edges": "edges.gpkg",
+        "pavement": "pavement.gpkg", "scans": "scans.laz", "detections": "seen", "depth": "depth",
+        "candidates": "candidates", "out": "out.json", "layers": "out.gpkg",
+    }  # fmt: skip
     files = [part for key, name in names.items() for part in (f"--{key}", str(folder / name))]
     options = ["--sensors", "config/sensors.yaml", "--frames-hz", "20"]
     assert measure_data.main([*files, *options]) == 0

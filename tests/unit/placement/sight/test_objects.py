@@ -47,13 +47,10 @@ def scene(rng):
     post = pole(60.7, 0.0, 1.7)
     sign = tuple(np.concatenate(both) for both in zip(panel, post, strict=True))
     return {
-        "barrier": wall((0, 15), 0, (0.4, 0.9)),
-        "pole": pole(20, 0, 7.0),
-        "tree": crown(30, 0, rng),
-        "bush": crown(35, 0, rng, 0.6, 0.8),
-        "building": building,
+        "barrier": wall((0, 15), 0, (0.4, 0.9)), "pole": pole(20, 0, 7.0),
+        "tree": crown(30, 0, rng), "bush": crown(35, 0, rng, 0.6, 0.8), "building": building,
         "sign": sign,
-    }
+    }  # fmt: skip
 
 
 def test_kinds_by_their_shape(scene):
@@ -148,14 +145,11 @@ def test_what_touches_is_one_object():
 def test_obstacles_belong_to_the_nearest_object():
     lines = pd.DataFrame(
         {
-            "target": ["a", "b", "b", "c"],
-            "candidate": ["s", "s", "t", "s"],
-            "blocked_share": [1.0, 0.5, 1.0, 0.0],
-            "obstacle_x": [1.0, 1.2, 1.1, np.nan],
-            "obstacle_y": 0.0,
-            "obstacle_z": 1.0,
+            "target": ["a", "b", "b", "c"], "candidate": ["s", "s", "t", "s"],
+            "blocked_share": [1.0, 0.5, 1.0, 0.0], "obstacle_x": [1.0, 1.2, 1.1, np.nan],
+            "obstacle_y": 0.0, "obstacle_z": 1.0,
         }
-    )
+    )  # fmt: skip
     members = pd.DataFrame(
         {"x": [1.0, 9.0], "y": 0.0, "z": 1.0, "object": ["tree+1+0", "pole+9+0"]}
     )

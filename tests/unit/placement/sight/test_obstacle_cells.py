@@ -1,5 +1,3 @@
-"""Obstacles by angular cells against Appendix B of the paper, written out point by point."""
-
 import json
 from itertools import pairwise
 
@@ -28,12 +26,9 @@ SIZE = (1.5, 3.0)
 """Larger than the paper's targets, so that few wide cells hold many of their points."""
 AROUND = Sensor(azimuth_step_deg=10, elevations_deg=tuple(range(-30, 6, 5)), range_m=45)
 PARTIAL = Sensor(
-    azimuth_min_deg=120,
-    azimuth_max_deg=255,
-    azimuth_step_deg=7.5,
-    elevations_deg=tuple(range(-24, 0, 4)),
-    range_m=30,
-)
+    azimuth_min_deg=120, azimuth_max_deg=255, azimuth_step_deg=7.5,
+    elevations_deg=tuple(range(-24, 0, 4)), range_m=30,
+)  # fmt: skip
 
 
 def direction(azimuth_deg, elevation_deg):

@@ -1,5 +1,3 @@
-"""Obstacles on sight lines against walls and poles whose place is known."""
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd

@@ -1,7 +1,3 @@
-"""Vehicles in a line of sight: the closed form against drawn traffic."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

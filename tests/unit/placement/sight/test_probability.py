@@ -1,7 +1,3 @@
-"""Probability to be found by points: the curve, its inverse, and what a plan says of it."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,3 @@
-"""Detection under effects: tilted mounts, wide beams, curved beams, against slow references."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,14 +14,9 @@ from roadsight.placement.sight.sight import Sight, count_beams
 from roadsight.scene.surfels import Surfels
 
 SENSOR = Sensor(
-    azimuth_step_deg=0.5,
-    elevation_min_deg=-25,
-    elevation_max_deg=10,
-    channels=71,
-    range_m=100,
-    divergence_mrad=(4.0, 2.0),
-    aperture_mm=10,
-)
+    azimuth_step_deg=0.5, elevation_min_deg=-25, elevation_max_deg=10, channels=71, range_m=100,
+    divergence_mrad=(4.0, 2.0), aperture_mm=10,
+)  # fmt: skip
 NOTHING = np.zeros(SENSOR.shape, np.float32)
 SIZE = (0.25, 0.6)
 POST = Cylinder(*SIZE)

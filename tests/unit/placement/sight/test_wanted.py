@@ -1,5 +1,3 @@
-"""Beams that were not cast change nothing that detection counts."""
-
 import numpy as np
 import pytest
 
@@ -15,14 +13,10 @@ WHOLE = Sensor(
     azimuth_step_deg=1, elevation_min_deg=-89, elevation_max_deg=89, channels=179, range_m=60
 )
 PART = Sensor(
-    azimuth_min_deg=-200,
-    azimuth_max_deg=-80,
-    azimuth_step_deg=0.5,
-    elevations_deg=(-40, -20, -15, -11, -7, -4, -3, -2, -1, 2),
-    range_m=60,
-    divergence_mrad=(3.0, 1.5),
-    aperture_mm=10,
-)
+    azimuth_min_deg=-200, azimuth_max_deg=-80, azimuth_step_deg=0.5,
+    elevations_deg=(-40, -20, -15, -11, -7, -4, -3, -2, -1, 2), range_m=60,
+    divergence_mrad=(3.0, 1.5), aperture_mm=10,
+)  # fmt: skip
 
 
 def scene(rng, sensor):

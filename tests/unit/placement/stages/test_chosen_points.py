@@ -1,7 +1,3 @@
-"""Points by height of chosen sensors in poses, from the panoramas that judged them."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -29,15 +25,10 @@ def test_sensors_in_poses_add_up_to_what_detection_measured(road, box):  # noqa:
     rows = seen[["sensor", "candidate"]].drop_duplicates().astype(str)
     chosen = rows.groupby("sensor").head(2).reset_index(drop=True)
     given = MeasuringFiles(
-        targets=Path(place),
-        radius_m=Targets().radius_m,
-        height_m=Targets().height_m,
-        box=tuple(map(float, box)) if box else None,
-        sensors=folder / "sensors.yaml",
-        depth=[folder / "depth"],
-        candidates=[folder / "candidates"],
-        azimuth_stride=1,
-    )
+        targets=Path(place), radius_m=Targets().radius_m, height_m=Targets().height_m,
+        box=tuple(map(float, box)) if box else None, sensors=folder / "sensors.yaml",
+        depth=[folder / "depth"], candidates=[folder / "candidates"], azimuth_stride=1,
+    )  # fmt: skip
     targets, feet, shape = read_shaped_targets(given)
     for name, unit in kinds.items():
         part = chosen[chosen["sensor"] == name]

@@ -1,7 +1,3 @@
-"""Plans at a level of availability through the stage, on small tables written by hand."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

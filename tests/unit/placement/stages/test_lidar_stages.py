@@ -1,5 +1,3 @@
-"""The stages from cloud to detections on one small scene, through their command lines."""
-
 import json
 
 import geopandas as gpd
@@ -55,13 +53,10 @@ def site(tmp_path_factory):
     (folder / "sensors.yaml").write_text(SENSORS)
     candidates = pd.DataFrame(
         {
-            "candidate": [f"e-s{i}" for i in range(8)],
-            "x": np.linspace(1, 19, 8),
-            "y": -0.5,
-            "z": 14.0,
-            "yaw_deg": 90.0,
+            "candidate": [f"e-s{i}" for i in range(8)], "x": np.linspace(1, 19, 8), "y": -0.5,
+            "z": 14.0, "yaw_deg": 90.0,
         }
-    )
+    )  # fmt: skip
     write_table(folder / "candidates.parquet", candidates)
     write_table(folder / "none.parquet", candidates.iloc[:0])
     paths = {name: str(folder / f"{name}.parquet") for name in ("cloud", "pavement", "surfels")}

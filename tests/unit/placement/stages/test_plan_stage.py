@@ -1,7 +1,3 @@
-"""Plans with options through the stage, on small tables written by hand."""
-
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,3 @@
-"""Poses through the stages: detections, the choice of one pose a position, and scans."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -193,12 +189,9 @@ class TestChoice:
     def test_choices_are_those_poses_or_every_candidate_as_it_is(self):
         candidates = pd.DataFrame({"candidate": ["a", "b"], "yaw_deg": [170.0, -90.0]})
         seen = [
-            ("eye", "b@y+0p-10r+0"),
-            ("eye", "a@y+35p-10r+0"),
-            ("eye", "gone@y+0p+0r+0"),
-            ("ring", "a"),
-            ("eye", "b@y+0p-10r+0"),
-        ]
+            ("eye", "b@y+0p-10r+0"), ("eye", "a@y+35p-10r+0"), ("eye", "gone@y+0p+0r+0"),
+            ("ring", "a"), ("eye", "b@y+0p-10r+0"),
+        ]  # fmt: skip
         detections = pd.DataFrame(seen, columns=["sensor", "candidate"])
         choices = choices_of({"ring": 1.0, "eye": 0.4, "ear": 2.0}, candidates, detections)
         assert choices["sensor"].tolist() == ["ring", "ring", "eye", "eye", "ear", "ear"]
@@ -237,17 +230,12 @@ class TestObstacles:
         )
         write_detections(tmp_path / "seen", nothing, {"sensor": "eye"})
         files = {
-            "solution": tmp_path / "solution",
-            "coverage": tmp_path / "coverage",
-            "targets": folder / "targets",
-            "surfels": tmp_path / "walls",
-            "dem": tmp_path / "dem.tif",
-            "frame": folder / "frame.json",
-            "sensors": folder / "sensors.yaml",
-            "candidates": folder / "candidates",
-            "detections": tmp_path / "seen",
-            "out": tmp_path / "out.gpkg",
-        }
+            "solution": tmp_path / "solution", "coverage": tmp_path / "coverage",
+            "targets": folder / "targets", "surfels": tmp_path / "walls",
+            "dem": tmp_path / "dem.tif", "frame": folder / "frame.json",
+            "sensors": folder / "sensors.yaml", "candidates": folder / "candidates",
+            "detections": tmp_path / "seen", "out": tmp_path / "out.gpkg",
+        }  # fmt: skip
         named = [part for key, file in files.items() for part in (f"--{key}", str(file))]
         assert find_obstacles.main([*named, "--plan", "p"]) == 0
         obstacles = read_layer(tmp_path / "out.gpkg", "obstacles", FRAME)
@@ -267,16 +255,9 @@ class TestScans:
         folder, _ = road
         definition = load_sensors(folder / "sensors.yaml")[sensor]
         place = {
-            "candidate": "a@y+60p-20r+5",
-            "position": "a",
-            "sensor": sensor,
-            "x": 0.0,
-            "y": -4.0,
-            "z": 6.0,
-            "yaw_deg": 150.0,
-            "pitch_deg": -20.0,
-            "roll_deg": 5.0,
-        }
+            "candidate": "a@y+60p-20r+5", "position": "a", "sensor": sensor, "x": 0.0, "y": -4.0,
+            "z": 6.0, "yaw_deg": 150.0, "pitch_deg": -20.0, "roll_deg": 5.0,
+        }  # fmt: skip
         write_json(tmp_path / "solution", {"sensors": [place]})
         arguments = ["--solution", str(tmp_path / "solution"), "--out", str(tmp_path / "scan.laz")]
         for name, file in (

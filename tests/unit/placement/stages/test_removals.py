@@ -1,5 +1,3 @@
-"""Objects of a scene, and plans without some of them, through the stages' command lines."""
-
 import json
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""From coverage to solution: the stages on small tables written by hand."""
-
-from __future__ import annotations
-
 import json
 
 import geopandas as gpd
@@ -93,6 +89,12 @@ class Site:
     def read(self, name):
         return json.loads((self.folder / name).read_text())
 
+    def solved(self, *sensors, plan="p=S", **how):
+        """The solution of a plan whose coverage was checked."""
+        assert self.check(plan) == 0
+        assert self.solve(*sensors, **how) == 0
+        return self.read("solution.json")
+
 
 @pytest.fixture
 def site(tmp_path):
@@ -115,12 +117,9 @@ def test_coverage_names_the_uncovered_targets_of_each_plan(tmp_path):
 
 def test_of_two_cheapest_plans_the_one_that_sees_more_again_is_taken(tmp_path):
     site = Site(tmp_path, {"S": {"a": "012", "b": "0", "c": "345", "d": "12345"}})
-    assert site.check("p=S") == 0
-    assert site.solve("S=1") == 0
-    assert "second" not in site.read("solution.json")
+    assert "second" not in site.solved("S=1")
     limit = ("--second-objective", "True", "--second-time-limit-s", "5")
-    assert site.solve("S=1", options=limit) == 0
-    solution = site.read("solution.json")
+    solution = site.solved("S=1", options=limit)
     assert [sensor["candidate"] for sensor in solution["sensors"]] == ["a", "d"]
     found = solution["second"]
     assert found["status"] == "optimal"
@@ -172,28 +171,15 @@ def test_no_target_at_all_is_refused(tmp_path, capsys):
 
 
 def test_solution_is_the_known_optimum(site):
-    assert site.check("p=S") == 0
-    assert site.solve("S=1") == 0
-    solution = site.read("solution.json")
+    solution = site.solved("S=1")
     assert solution.pop("reductions") is not None
     sensors = {sensor["candidate"]: sensor for sensor in solution.pop("sensors")}
     assert solution == {
-        "site": "here",
-        "plan": "p",
-        "sensor_types": ["S"],
-        "status": "optimal",
-        "objective": 2.0,
-        "bound": 2.0,
-        "gap": 0.0,
-        "solver": "own",
-        "solver_version": version("own"),
-        "proved_by": "own",
-        "at_least": 1,
-        "targets": 6,
-        "covered_targets": 6,
-        "uncoverable_targets": 0,
-        "excluded": [],
-    }
+        "site": "here", "plan": "p", "sensor_types": ["S"], "status": "optimal", "objective": 2.0,
+        "bound": 2.0, "gap": 0.0, "solver": "own", "solver_version": version("own"),
+        "proved_by": "own", "at_least": 1, "targets": 6, "covered_targets": 6,
+        "uncoverable_targets": 0, "excluded": [],
+    }  # fmt: skip
     assert list(sensors) == ["a", "d"]
     assert [sensors[name]["targets"] for name in "ad"] == [3, 3]
     assert [sensors[name]["only"] for name in "ad"] == [3, 3]
@@ -205,23 +191,18 @@ def test_solution_is_the_known_optimum(site):
 
 def test_what_only_one_sensor_sees_is_counted(tmp_path):
     site = Site(tmp_path, {"S": {"a": "012", "b": "23", "c": "345"}})
-    assert site.check("p=S") == 0
-    assert site.solve("S=1") == 0
-    sensors = site.read("solution.json")["sensors"]
+    sensors = site.solved("S=1")["sensors"]
     assert [(s["candidate"], s["targets"], s["only"]) for s in sensors] == [
         ("a", 3, 3),
         ("c", 3, 3),
     ]
     site = Site(tmp_path, {"S": {"a": "0123", "b": "2345"}})
-    assert site.check("p=S") == 0
-    assert site.solve("S=1") == 0
-    sensors = site.read("solution.json")["sensors"]
+    sensors = site.solved("S=1")["sensors"]
     assert [(s["targets"], s["only"]) for s in sensors] == [(4, 2), (4, 2)]
 
 
 def test_layers_hold_sensors_and_targets_in_the_sites_crs(site):
-    assert site.check("p=S") == 0
-    assert site.solve("S=1") == 0
+    site.solved("S=1")
     path = site.folder / "layers.gpkg"
     sensors = gpd.read_file(path, layer="sensors")
     targets = gpd.read_file(path, layer="targets")
@@ -257,14 +238,11 @@ def test_order_of_detections_does_not_matter(site):
 def test_cheaper_sensors_are_preferred_and_one_stands_at_a_place(tmp_path):
     sight = {"near": {"a": "01", "b": "2"}, "far": {"a": "012", "b": "012"}}
     site = Site(tmp_path, sight, targets=3)
-    assert site.check("p=near,far") == 0
-    assert site.solve("near=1", "far=3") == 0
-    solution = site.read("solution.json")
+    solution = site.solved("near=1", "far=3", plan="p=near,far")
     assert solution["objective"] == 2.0
     chosen = [(s["sensor"], s["candidate"]) for s in solution["sensors"]]
     assert chosen == [("near", "a"), ("near", "b")]
-    assert site.solve("near=2", "far=3") == 0
-    solution = site.read("solution.json")
+    solution = site.solved("near=2", "far=3", plan="p=near,far")
     assert solution["objective"] == 3.0
     assert [s["sensor"] for s in solution["sensors"]] == ["far"]
 
@@ -273,17 +251,14 @@ def test_two_sensors_never_share_a_place(tmp_path):
     # Together at a they would cost 2; apart it takes the dear candidate b.
     sight = {"left": {"a": "0"}, "right": {"a": "1"}, "dear": {"b": "01"}}
     site = Site(tmp_path, sight, targets=2)
-    assert site.check("p=left,right,dear") == 0
-    assert site.solve("left=1", "right=1", "dear=5") == 0
-    chosen = [(s["sensor"], s["candidate"]) for s in site.read("solution.json")["sensors"]]
+    solution = site.solved("left=1", "right=1", "dear=5", plan="p=left,right,dear")
+    chosen = [(s["sensor"], s["candidate"]) for s in solution["sensors"]]
     assert chosen == [("dear", "b")]
 
 
 def test_detections_of_other_plans_are_left_out(site):
     write_sight(site.folder / "other.parquet", "T", {"b": "012345"})
-    assert site.check("p=S") == 0
-    assert site.solve("S=1", extra=[site.folder / "other.parquet"]) == 0
-    assert site.read("solution.json")["objective"] == 2.0
+    assert site.solved("S=1", extra=[site.folder / "other.parquet"])["objective"] == 2.0
 
 
 def gap_site(folder):
@@ -304,8 +279,7 @@ def test_uncovered_targets_stop_by_default(tmp_path, capsys):
 
 def test_uncovered_targets_are_left_out_on_request_and_reported(tmp_path):
     site = gap_site(tmp_path)
-    assert site.solve("S=1", options=["--uncoverable", "exclude"]) == 0
-    solution = site.read("solution.json")
+    solution = site.solved("S=1", options=["--uncoverable", "exclude"])
     assert solution["excluded"] == ["t6", "t7"]
     assert solution["targets"] == 8
     assert solution["covered_targets"] == 6
@@ -324,9 +298,7 @@ def test_nothing_covered_is_an_error_even_where_gaps_are_left_out(tmp_path, caps
 
 def test_covering_twice_is_counted_and_refused_where_impossible(tmp_path, capsys):
     site = Site(tmp_path, {"S": {"a": "01", "b": "01", "c": "0"}}, targets=2)
-    assert site.check("p=S") == 0
-    assert site.solve("S=1", options=["--at-least", "2"]) == 0
-    solution = site.read("solution.json")
+    solution = site.solved("S=1", options=["--at-least", "2"])
     assert (solution["at_least"], solution["objective"]) == (2, 2.0)
     targets = gpd.read_file(tmp_path / "layers.gpkg", layer="targets")
     assert targets["sensors"].tolist() == [2, 2]
@@ -349,8 +321,7 @@ def test_a_time_limit_leaves_a_gap_and_says_that_nothing_is_proven(tmp_path, cap
     assert sees.any(axis=0).all()
     assert site.check("p=S") == 0
     with caplog.at_level("WARNING"):
-        assert site.solve("S=1", options=["--time-limit-s", "0.5"]) == 0
-    solution = site.read("solution.json")
+        solution = site.solved("S=1", options=["--time-limit-s", "0.5"])
     assert solution["status"] == "time_limit"
     assert 0 < solution["gap"] < 1
     assert 1 <= solution["bound"] < solution["objective"] == len(solution["sensors"])

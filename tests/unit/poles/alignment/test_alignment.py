@@ -1,5 +1,3 @@
-"""Alignment of one image: derivatives, a slow reference, the frame, and what must be refused."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -215,12 +213,9 @@ def test_left_and_right_are_alike(tasks):
     e, s = task.map_edges, task.start
     order = np.concatenate([np.arange(e.left, len(e.half_m)), np.arange(e.left)])
     map_edges = NearEdges(
-        e.xyz_m[order] * flip,
-        e.along[order] * flip,
-        e.inward[order] * flip,
-        e.half_m[order],
+        e.xyz_m[order] * flip, e.along[order] * flip, e.inward[order] * flip, e.half_m[order],
         len(order) - e.left,
-    )
+    )  # fmt: skip
     start = replace(s, x_m=-s.x_m, heading_deg=-s.heading_deg, bank=-s.bank, bend=-s.bend)
     group = np.repeat(np.arange(4), np.diff(task.image_edges.groups))
     uv = task.image_edges.uv_px * [-1, 1] + [task.start.width_px - 1, 0]

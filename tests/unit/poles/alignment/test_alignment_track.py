@@ -1,5 +1,3 @@
-"""Sides and headings of a track, the road under it, and edges freed of the raster."""
-
 import numpy as np
 import pytest
 from hypothesis import given

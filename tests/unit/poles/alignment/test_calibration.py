@@ -1,5 +1,3 @@
-"""Calibration of a drive, the drift of its track, and both alignment stages end to end."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""A drive's camera from upright things alone."""
-
 import numpy as np
 import pandas as pd
 import pytest

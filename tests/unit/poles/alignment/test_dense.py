@@ -1,7 +1,3 @@
-"""Poses of single photographs with a known lens in a generated street with known cameras."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -115,15 +111,9 @@ def test_large_images_are_looked_at_small(street, cloud, found):
 
 def fit_of(**changed):
     values = {
-        "offsets": np.zeros(6),
-        "pose": TRUE,
-        "covariance": np.eye(6) * 1e-4,
-        "cost": 0.0,
-        "gain": 0.0,
-        "second": np.inf,
-        "lead": 20.0,
-        "samples": 5000,
-    }
+        "offsets": np.zeros(6), "pose": TRUE, "covariance": np.eye(6) * 1e-4, "cost": 0.0,
+        "gain": 0.0, "second": np.inf, "lead": 20.0, "samples": 5000,
+    }  # fmt: skip
     return DenseFit(**(values | changed))
 
 

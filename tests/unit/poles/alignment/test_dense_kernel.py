@@ -1,7 +1,3 @@
-"""Compiled score of projected samples against slow references."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,3 @@
-"""Errors of a receiver, found from the images that measure them."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Landmarks: bearings and their derivatives, association, and what they do for a pose."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -82,18 +80,9 @@ def axis_rows(bed, number, columns, rng, views=("front",)):
                 }
             )  # fmt: skip
     names = [
-        "view",
-        "u",
-        "v",
-        "v_foot",
-        "v_top",
-        "width_px",
-        "width_view_px",
-        "height_view_px",
-        "foot_visible",
-        "top_cut",
-        "slope",
-    ]
+        "view", "u", "v", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px",
+        "foot_visible", "top_cut", "slope",
+    ]  # fmt: skip
     return pd.DataFrame(rows, columns=names)
 
 
@@ -103,21 +92,10 @@ def tasks_of(bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), si
     m = bed.mount
     mean = np.array(
         [
-            0,
-            m.lateral_m,
-            m.height_m,
-            m.yaw_deg,
-            m.pitch_deg,
-            m.roll_deg - 1.146,
-            np.log(bed.intrinsics.focal_px),
-            0,
-            0.5,
-            0.5,
-            0,
-            0,
-            *side_deg,
+            0, m.lateral_m, m.height_m, m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146,
+            np.log(bed.intrinsics.focal_px), 0, 0.5, 0.5, 0, 0, *side_deg,
         ]
-    )
+    )  # fmt: skip
     sigma = SPREAD.vector()
     sigma[TURNS:] = side_sigma_deg
     information = np.diag(1.0 / sigma**2)

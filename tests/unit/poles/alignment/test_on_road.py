@@ -1,5 +1,3 @@
-"""A track that lies beside its road is moved into it; one on its road stays, whatever is beside."""
-
 import numpy as np
 import pandas as pd
 import pytest

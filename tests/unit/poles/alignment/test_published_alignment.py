@@ -1,7 +1,3 @@
-"""The pole study's alignment: its cost against a slow one of its own, its axes, bounds, windows."""
-
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np
@@ -135,13 +131,8 @@ def test_a_registered_camera_stands_where_it_was_registered():
     axes = Axes.along([10.0, 20.0, 5.0], [0.0, 8.0, 0.0])
     pose = pose_in(axes, start_of(registered())[0])
     expected = {
-        "x": 9.8,
-        "y": 20.3,
-        "z": 7.2,
-        "heading_deg": 0.8,
-        "pitch_deg": -1.5,
-        "roll_deg": 0.4,
-    }
+        "x": 9.8, "y": 20.3, "z": 7.2, "heading_deg": 0.8, "pitch_deg": -1.5, "roll_deg": 0.4,
+    }  # fmt: skip
     assert pose == pytest.approx(expected)
     climbing = Axes.along([10.0, 20.0, 5.0], [0.0, 8.0, 8.0 * np.tan(np.radians(4.0))])
     assert pose_in(climbing, start_of(registered(yaw=0.0, roll=0.0))[0])[
@@ -179,13 +170,10 @@ def test_bounds_about_the_baseline(changed, reach):
 @pytest.mark.parametrize(
     ("apart_px", "wide"),
     [
-        ((100.0, 50.0), [0]),
-        ((100.0, 95.0), [0, 1, 2, 3, 4, 5]),
-        ((80.0, 100.0), [1, 2, 3, 4, 5]),
-        ((-400.0, 100.0), [1, 2, 3, 4, 5]),
-        ((np.nan, np.nan), []),
+        ((100.0, 50.0), [0]), ((100.0, 95.0), [0, 1, 2, 3, 4, 5]), ((80.0, 100.0), [1, 2, 3, 4, 5]),
+        ((-400.0, 100.0), [1, 2, 3, 4, 5]), ((np.nan, np.nan), []),
     ],
-)
+)  # fmt: skip
 def test_bounds_about_zero_where_the_ends_are_far_apart(apart_px, wide):
     found, about_zero = bounds(apart_px=apart_px), [10, 11, 18, 2, 3, 2]
     for number in range(6):

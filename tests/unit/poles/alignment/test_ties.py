@@ -1,5 +1,3 @@
-"""Points that images share: their misfit, the chain of a drive, and what others tell an image."""
-
 from dataclasses import replace
 
 import numpy as np

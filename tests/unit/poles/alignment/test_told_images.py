@@ -1,5 +1,3 @@
-"""Images whose edges disagree with the road's: when the others of the drive place them."""
-
 from dataclasses import replace
 
 import numpy as np

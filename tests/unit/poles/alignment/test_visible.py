@@ -1,7 +1,3 @@
-"""What a camera sees of a cloud, against slow references and where there is nothing to see."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

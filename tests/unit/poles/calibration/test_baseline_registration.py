@@ -1,5 +1,3 @@
-"""Baselines from registered images, and the tables of clicked pairs."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The principal point of a drive: what it moves, and how sure it is."""
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -54,16 +52,9 @@ def image(rng, places, number=0):
     normal, gradient = misfit_of(pose, matched)
     edges = np.diag(rng.uniform(1, 2, SIZE)), rng.normal(size=SIZE)
     fit = Fit(
-        pose,
-        np.eye(SIZE),
-        0.0,
-        np.empty((0, 2)),
-        normal + edges[0],
-        gradient + edges[1],
-        matched,
-        normal,
-        gradient,
-    )
+        pose, np.eye(SIZE), 0.0, np.empty((0, 2)), normal + edges[0], gradient + edges[1], matched,
+        normal, gradient,
+    )  # fmt: skip
     place = Place(str(number), "route", 8.0 * number, START, np.empty((0, 2)))
     return Tied(Member(place, pose, None, np.empty((0, 4))), fit), edges
 
@@ -149,13 +140,9 @@ def test_bearings_carry_the_point_only_as_far_as_the_heading_does_not_undo_it():
     turns = float(np.degrees(sigma_px / focal))
     lens = Intrinsics(1000, 600, focal, 499.5, 299.5)
     camera = ViewCamera(
-        lens,
-        (0.0, 0.0, 2.0),
-        20.0,
-        sigma_heading_deg=float(np.hypot(turns, 0.02)),
-        sigma_cx_px=sigma_px,
-        heading_by_cx_deg=turns,
-    )
+        lens, (0.0, 0.0, 2.0), 20.0, sigma_heading_deg=float(np.hypot(turns, 0.02)),
+        sigma_cx_px=sigma_px, heading_by_cx_deg=turns,
+    )  # fmt: skip
     uv = np.column_stack([np.array([499.5, 300.0, 10.0]), np.full(3, 299.5)])
     bearing, sigma = image_bearings(camera, uv, 0.0)
     assert sigma[0] == pytest.approx(0.02, rel=0.01)
@@ -172,13 +159,9 @@ def test_a_focal_length_turns_what_is_left_and_right_of_the_middle_apart():
     lens = Intrinsics(1000, 600, 600.0, 499.5, 299.5)
     lens_off = replace(lens, focal_px=600.0 * 1.005)
     camera = ViewCamera(
-        lens,
-        (0.0, 0.0, 2.0),
-        20.0,
-        sigma_heading_deg=float(np.hypot(0.03, 0.04)),
-        sigma_focal_ratio=0.005,
-        heading_by_focal_deg=0.03,
-    )
+        lens, (0.0, 0.0, 2.0), 20.0, sigma_heading_deg=float(np.hypot(0.03, 0.04)),
+        sigma_focal_ratio=0.005, heading_by_focal_deg=0.03,
+    )  # fmt: skip
     uv = np.column_stack([np.array([10.0, 499.5, 900.0]), np.full(3, 299.5)])
     bearing, sigma = image_bearings(camera, uv, 0.0)
     moved = replace(camera, intrinsics=lens_off, heading_deg=20.03)

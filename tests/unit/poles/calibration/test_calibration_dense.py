@@ -1,7 +1,3 @@
-"""Mount of a drive with a known lens in a generated street."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

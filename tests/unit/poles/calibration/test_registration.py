@@ -1,5 +1,3 @@
-"""Camera pose from clicked pairs: exact data, noise, and the cases that must be refused."""
-
 import numpy as np
 import pytest
 

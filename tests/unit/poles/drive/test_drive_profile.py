@@ -1,7 +1,3 @@
-"""What a drive is like: hidden road, roadside that the front view leaves out, given lenses."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

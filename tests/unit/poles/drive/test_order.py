@@ -1,7 +1,3 @@
-"""Order and direction of a drive."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,11 +1,5 @@
-"""Headings along noisy tracks."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.drive.videolog import headings_deg, moving, steps_m
@@ -76,15 +70,3 @@ def test_never_moved(xy):
     smooth, raw = headings_deg(np.array(xy, float).reshape(-1, 2))
     assert np.isnan(smooth).all() and np.isnan(raw).all() and len(smooth) == len(xy)
     assert len(steps_m(np.array(xy, float).reshape(-1, 2))) == len(xy)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.floats(0, 360), st.floats(-1e5, 1e5), st.integers(0, 100))
-def test_turning_and_moving_the_track_turns_the_headings(turn_deg, shift, seed):
-    xy, _ = curve(25, noise=0.7, seed=seed)
-    angle = np.radians(turn_deg)
-    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    here, there = headings_deg(xy)[0], headings_deg(xy @ rotation.T + shift)[0]
-    assert np.abs(wrap_deg(there - here - turn_deg)).max() < 1e-3
-    backwards = headings_deg(xy[::-1])[0][::-1]
-    assert np.abs(wrap_deg(backwards - here - 180)).max() < 1e-6

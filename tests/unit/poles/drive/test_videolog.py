@@ -1,7 +1,3 @@
-"""Frames of videologs with all that goes wrong in them, through the stage."""
-
-from __future__ import annotations
-
 import contextlib
 import zipfile
 
@@ -26,7 +22,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.poles.drive.videolog import split_drives
 from roadsight.scene.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.poles import read_videolog
-from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
+from tests.helpers.tagged_images import gps_jpeg, jpeg
 
 UNIT = 1200 / 3937
 """US survey feet, as in EPSG:6543, North Carolina."""
@@ -66,13 +62,9 @@ def site(tmp_path, wkt):
 def run(folder, table, *extra, images="images", code=0):
     if table is not None:
         table.to_csv(folder / "videolog.csv", index=False)
-    names = {
-        "cloud": "cloud.parquet",
-        "frame": "frame.json",
-        "dem": "dem.tif",
-        "out": "frames.parquet",
-    }
-    paths = [word for name, file in names.items() for word in (f"--{name}", str(folder / file))]
+    names = {"cloud": "cloud.parquet", "frame": "frame.json", "dem": "dem.tif"}
+    names["out"] = "frames.parquet"
+    paths = [f"--{name}={folder / file}" for name, file in names.items()]
     videolog = folder / ("images" if table is None else "videolog.csv")
     given = ["--videolog", str(videolog), "--images", str(folder / images)]
     assert read_videolog.main([*given, *paths, *extra]) == code
@@ -135,21 +127,13 @@ def test_bad_rows_cost_only_themselves(site, capsys, caplog):
     frames = run(folder, table)
     status = frames.set_index("image")["status"]
     expected = {
-        "001.jpg": "image missing",
-        "002.jpg": "image truncated",
-        "003.jpg": "image unreadable",
-        "004.jpg": "64 x 32 px",
-        "005.jpg": "no position",
-        "006.jpg": "no position",
-        "007.jpg": "outside the cloud",
-        "008.jpg": "latitude and longitude look swapped",
-        "010.jpg": "same position",
-        "014.jpg": "GPS jump of 176 m",
-        "../../secret.jpg": "image unreadable",
-        "026.jpg": "listed at two places",
-        "028.jpg": "sequence number used before",
-        "029.jpg": "no sequence number",
-    }
+        "001.jpg": "image missing", "002.jpg": "image truncated", "003.jpg": "image unreadable",
+        "004.jpg": "64 x 32 px", "005.jpg": "no position", "006.jpg": "no position",
+        "007.jpg": "outside the cloud", "008.jpg": "latitude and longitude look swapped",
+        "010.jpg": "same position", "014.jpg": "GPS jump of 176 m",
+        "../../secret.jpg": "image unreadable", "026.jpg": "listed at two places",
+        "028.jpg": "sequence number used before", "029.jpg": "no sequence number",
+    }  # fmt: skip
     for name, reason in expected.items():
         assert status[name].startswith(reason), (name, status[name])
     good = status.drop(list(expected))
@@ -213,14 +197,8 @@ def test_names_stay_inside(tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "secret.png").write_bytes(b"x")
     source = ImageSource(tmp_path / "in")
-    for name in (
-        "../secret.png",
-        "/etc/passwd",
-        "a/../../secret.png",
-        "..\\secret.png",
-        "C:\\x",
-        "",
-    ):
+    up = ("../secret.png", "a/../../secret.png", "..\\secret.png")
+    for name in (*up, "/etc/passwd", "C:\\x", ""):
         recorded = name in ("/etc/passwd", "C:\\x")  # the last part is looked up
         assert not recorded or source.find(name) == ""
         for call in (source.read, source.size, *([] if recorded else [source.find])):

@@ -1,7 +1,3 @@
-"""Fields of an image: edges where they are, nothing where an image says nothing."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

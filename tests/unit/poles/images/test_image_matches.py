@@ -1,5 +1,3 @@
-"""Points that two images share, and the stage that looks for them."""
-
 import cv2
 import numpy as np
 import pandas as pd

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 
@@ -34,13 +32,10 @@ COLOURS = np.eye(3, dtype=np.float32)
 def write(folder: Path, network: bytes, **changes) -> Path:
     (folder / "tiny.onnx").write_bytes(network)
     content = {
-        "task": "classes",
-        "file": "tiny.onnx",
-        "input": {"colour": "BGR", "size": {"multiple_of": 4}},
-        "output": {"kind": "logits"},
-        "labels": 3,
-        "classes": {0: "road", 2: "pole"},
-    } | changes
+        "task": "classes", "file": "tiny.onnx",
+        "input": {"colour": "BGR", "size": {"multiple_of": 4}}, "output": {"kind": "logits"},
+        "labels": 3, "classes": {0: "road", 2: "pole"},
+    } | changes  # fmt: skip
     path = folder / "tiny.yaml"
     path.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
     return path
@@ -79,12 +74,9 @@ def test_colour_order_is_that_of_the_manifest(tmp_path):
 
 def test_values_are_divided_shifted_and_scaled_by_channel(tmp_path):
     spec = {
-        "colour": "RGB",
-        "size": {"multiple_of": 4},
-        "divide_by": 255,
-        "mean": [0.1, 0.2, 0.3],
+        "colour": "RGB", "size": {"multiple_of": 4}, "divide_by": 255, "mean": [0.1, 0.2, 0.3],
         "std": [0.5, 0.25, 2.0],
-    }
+    }  # fmt: skip
     model = open_model(write(tmp_path, pointwise(COLOURS, ANY), input=spec))
     image = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
     found = tensor_of(image, model.manifest.input)

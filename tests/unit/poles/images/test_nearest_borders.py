@@ -1,5 +1,3 @@
-"""Only the first border beside the camera's path."""
-
 import numpy as np
 
 from roadsight.base.sections.poles import EdgeTracing

@@ -1,5 +1,3 @@
-"""Whose network reads photographs: told by what its file holds, not by where it lies."""
-
 import os
 from functools import lru_cache
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""Pictures of objects: the best view of each, cut out, without what moves."""
-
 import numpy as np
 import pandas as pd
 import pytest

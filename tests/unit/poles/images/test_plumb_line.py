@@ -1,7 +1,3 @@
-"""Lenses from lines that are straight in the world."""
-
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

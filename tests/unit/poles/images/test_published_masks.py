@@ -1,7 +1,3 @@
-"""The pole study's rules for poles in a mask, and its stitched side views."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,13 +19,10 @@ def mask_of(*boxes, height_px=1200, kind=PixelClass.POLE):
 @pytest.mark.parametrize(
     ("width", "height", "reason"),
     [
-        (10, 400, "too small"),
-        (11, 400, ""),
-        (11, 20, "too small"),
-        (40, 399, "not slender"),
+        (10, 400, "too small"), (11, 400, ""), (11, 20, "too small"), (40, 399, "not slender"),
         (40, 400, ""),
     ],
-)
+)  # fmt: skip
 def test_sizes_and_aspect(width, height, reason):
     (one,) = published_instances(mask_of((500, 100, width, height)))
     assert one.reason == reason

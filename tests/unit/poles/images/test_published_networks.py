@@ -1,7 +1,3 @@
-"""Manifests of published networks: what their labels mean, and what their inputs are."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,27 +10,10 @@ from tests.helpers.onnx_bytes import network, node, pointwise, value
 
 MANIFESTS = PROJECT / "resources/manifests"
 CITYSCAPES = (
-    "road",
-    "sidewalk",
-    "building",
-    "wall",
-    "fence",
-    "pole",
-    "light",
-    "sign",
-    "vegetation",
-    "terrain",
-    "sky",
-    "person",
-    "rider",
-    "car",
-    "truck",
-    "bus",
-    "train",
-    "motorcycle",
-    "bicycle",
+    "road", "sidewalk", "building", "wall", "fence", "pole", "light", "sign", "vegetation",
+    "terrain", "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle",
     "background",
-)
+)  # fmt: skip
 """Labels in their order ("train ids"), as the data set's own scripts list them."""
 MOVING = ("person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle")
 MEANT = (

@@ -3,8 +3,6 @@
 Weights are random: what is tested is the commands, the preprocessing, shapes, labels and cost.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -77,12 +75,9 @@ def published(name: str):
     if name == "depth_anything":
         return transformers.DepthAnythingForDepthEstimation(transformers.DepthAnythingConfig())
     swin_large = transformers.SwinConfig(
-        embed_dim=192,
-        depths=[2, 2, 18, 2],
-        num_heads=[6, 12, 24, 48],
-        window_size=12,
+        embed_dim=192, depths=[2, 2, 18, 2], num_heads=[6, 12, 24, 48], window_size=12,
         out_features=["stage1", "stage2", "stage3", "stage4"],
-    )
+    )  # fmt: skip
     config = transformers.OneFormerConfig(
         backbone_config=swin_large, num_labels=65, num_queries=250
     )

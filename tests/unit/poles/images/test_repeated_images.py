@@ -1,7 +1,3 @@
-"""Images that repeat the one before although the vehicle moved on."""
-
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pandas as pd

@@ -1,7 +1,3 @@
-"""Yaw of side views from points that the front view showed before."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""Pavement that leaves the road: side roads, driveways, car parks."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,12 +7,9 @@ from roadsight.poles.risk.roads import RouteTracks
 from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places, find_branches
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.rural_truth import rural_layers
+from tests.helpers.rated_poles import track
 
 _LENGTH_M = 400.0
-
-
-def track(xy, route="a"):
-    return pd.DataFrame({"route": route, "sequence": range(len(xy)), "x": xy[:, 0], "y": xy[:, 1]})
 
 
 def box(x, y):

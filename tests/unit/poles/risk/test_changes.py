@@ -1,5 +1,3 @@
-"""Changes between surveys: pairs by place and kind, ids that stay, and the verb."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -29,13 +27,9 @@ def test_same_moved_new_and_gone():
     )
     found = changes(old, new).set_index("id")
     assert found["status"].to_dict() == {
-        "pole-00001": "same",
-        "pole-00002": "moved",
-        "pole-00003": "new",
-        "a": "new",
-        "pole-00000": "gone",
-        "sign-1": "gone",
-    }
+        "pole-00001": "same", "pole-00002": "moved", "pole-00003": "new", "a": "new",
+        "pole-00000": "gone", "sign-1": "gone",
+    }  # fmt: skip
     assert found.loc["pole-00001", "new_id"] == "pole-00000"
     assert found.loc["pole-00002", "moved_m"] == pytest.approx(1.5)
     assert found.loc["pole-00002", "limit_m"] == pytest.approx(3.03 * 0.2 * np.sqrt(2))

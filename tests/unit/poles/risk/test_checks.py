@@ -1,5 +1,3 @@
-"""Samples of found poles that people check, and what they say of all of them."""
-
 import json
 
 import numpy as np

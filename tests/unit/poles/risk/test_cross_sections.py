@@ -1,5 +1,3 @@
-"""Cross-sections against the exact ones of generated roads, and against hand-made steps."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""Clear zones, side slopes, density and rating."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -31,15 +29,11 @@ def poles_at(*places):
 @pytest.mark.parametrize(
     ("speed", "aadt", "slope", "width"),
     [
-        (50, 500, 0.0, 3.0),
-        (60, 7000, -0.2, 5.5),
-        (65, 1000, 0.0, 5.0),
-        (100, 10_000, -0.25, 13.5),
-        (110, 3000, 0.3, 6.0),
-        (130, 700, np.nan, 6.0),
+        (50, 500, 0.0, 3.0), (60, 7000, -0.2, 5.5), (65, 1000, 0.0, 5.0),
+        (100, 10_000, -0.25, 13.5), (110, 3000, 0.3, 6.0), (130, 700, np.nan, 6.0),
         (80, 3000, -0.5, 8.0),
     ],
-)
+)  # fmt: skip
 def test_cells_of_the_table(speed, aadt, slope, width):
     assert clear_zone_m(speed, aadt, [slope])[0] == width
 

@@ -1,5 +1,3 @@
-"""Road inventories: what they say, what they lack, what is refused; clear zones as ranges."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -81,15 +79,10 @@ def test_roads_that_an_inventory_does_not_name():
 @pytest.mark.parametrize(
     ("name", "route"),
     [
-        ("SR1427E", "SR1427"),
-        ("I40-EB", "I40"),
-        ("12_n", "12"),
-        ("Main St W", "Main St"),
-        ("Maine", None),
-        ("Vines", None),
-        ("Main", None),
+        ("SR1427E", "SR1427"), ("I40-EB", "I40"), ("12_n", "12"), ("Main St W", "Main St"),
+        ("Maine", None), ("Vines", None), ("Main", None),
     ],
-)
+)  # fmt: skip
 def test_only_directions_are_left_out_of_names(name, route):
     names = ("SR1427", "I40", "12", "Main St", "Vine", "Mai")
     known = inventory(*[(one, 0, 500, 80, 3000, 2) for one in names])

@@ -1,5 +1,3 @@
-"""Lanes and edges of the travelled way from points on markings."""
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,6 +1,3 @@
-"""What is told of roads that an inventory does not cover, that markings contradict, or that have no
-edges."""
-
 import numpy as np
 import pandas as pd
 import pytest

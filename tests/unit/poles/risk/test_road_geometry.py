@@ -1,5 +1,3 @@
-"""Radius, grade, cross-slope and width against the exact ones of generated roads."""
-
 import numpy as np
 import pandas as pd
 import pytest

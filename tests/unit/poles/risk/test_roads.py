@@ -1,5 +1,3 @@
-"""Side and station on generated roads, whatever drive they are asked of."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +7,7 @@ from roadsight.poles.risk.roads import Roads, RouteTracks, road_along, roads_of
 from roadsight_worlds.rural.rural_road import build_rural
 from roadsight_worlds.rural.rural_truth import rural_layers
 from roadsight_worlds.rural.videolog import random_drives, shots
+from tests.helpers.rated_poles import track
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
@@ -81,23 +80,19 @@ def test_a_line_with_measures_is_the_measure(site, edges):
     assert np.abs(located.station_m - 8000 - station).max() < 0.6
 
 
-def track(route, xy):
-    return pd.DataFrame({"route": route, "sequence": range(len(xy)), "x": xy[:, 0], "y": xy[:, 1]})
-
-
 def test_crossing_and_distant_parallel_drives_are_roads_of_their_own():
     x = np.arange(0, 300, 8.0)
-    east = track("a", np.column_stack([x, 0 * x]))
-    back = track("b", np.column_stack([x[::-1], 0 * x + 4]))
-    crossing = track("c", np.column_stack([0 * x + 150, x - 150]))
-    divided = track("d", np.column_stack([x[::-1], 0 * x + 25]))
+    east = track(np.column_stack([x, 0 * x]), "a")
+    back = track(np.column_stack([x[::-1], 0 * x + 4]), "b")
+    crossing = track(np.column_stack([0 * x + 150, x - 150]), "c")
+    divided = track(np.column_stack([x[::-1], 0 * x + 25]), "d")
     roads = roads_of(RouteTracks(pd.concat([east, back, crossing, divided])), np.empty((0, 2)))
     assert sorted(road.drives for road in roads.roads) == [("a", "b"), ("c",), ("d",)]
 
 
 def test_objects_beyond_the_ends_lie_straight_on():
     x = np.arange(0, 104, 8.0)
-    roads = roads_of(RouteTracks(track("a", np.column_stack([x, 0 * x]))), np.empty((0, 2)))
+    roads = roads_of(RouteTracks(track(np.column_stack([x, 0 * x]), "a")), np.empty((0, 2)))
     located = roads.locate(np.array([[-10.0, 5], [112, -5], [50, 0], [900, 0]]))
     assert located.station_m == pytest.approx([-10, 112, 50, 96 + 60], abs=1e-6)
     assert located.offset_m[:3] == pytest.approx([-5, 5, 0], abs=1e-6)

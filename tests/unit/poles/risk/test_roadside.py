@@ -1,5 +1,3 @@
-"""Hazard of true poles of generated roads: what decides, in numbers and in words."""
-
 import numpy as np
 import pandas as pd
 import pytest

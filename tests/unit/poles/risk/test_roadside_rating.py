@@ -1,5 +1,3 @@
-"""Hazard ratings, HSM inputs and exposure against the sources' own numbers."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,23 +22,12 @@ NAN = np.nan
 @pytest.mark.parametrize(
     ("clear_m", "slope", "rail_m", "rating"),
     [
-        (9.0, -0.1, NAN, 1),
-        (7.0, -0.25, NAN, 2),
-        (8.0, -0.1, NAN, 2),
-        (3.0, -0.33, NAN, 3),
-        (2.5, -0.25, NAN, 4),
-        (2.5, -0.33, NAN, 5),
-        (1.2, -0.43, NAN, 6),
-        (4.0, -0.45, NAN, 6),
-        (1.0, -0.6, NAN, 7),
-        (1.0, -0.6, 1.8, 4),
-        (1.0, -0.6, 0.6, 5),
-        (9.5, 0.0, 1.0, 1),
-        (NAN, NAN, NAN, 0),
-        (np.inf, 0.0, NAN, 1),
-        (2.0, NAN, NAN, 4),
+        (9.0, -0.1, NAN, 1), (7.0, -0.25, NAN, 2), (8.0, -0.1, NAN, 2), (3.0, -0.33, NAN, 3),
+        (2.5, -0.25, NAN, 4), (2.5, -0.33, NAN, 5), (1.2, -0.43, NAN, 6), (4.0, -0.45, NAN, 6),
+        (1.0, -0.6, NAN, 7), (1.0, -0.6, 1.8, 4), (1.0, -0.6, 0.6, 5), (9.5, 0.0, 1.0, 1),
+        (NAN, NAN, NAN, 0), (np.inf, 0.0, NAN, 1), (2.0, NAN, NAN, 4),
     ],
-)
+)  # fmt: skip
 def test_the_seven_ratings(clear_m, slope, rail_m, rating):
     assert hazard_rating([clear_m], [slope], [rail_m]).tolist() == [rating]
 

@@ -1,5 +1,3 @@
-"""Roads measured along routes: both directions, kilometres, and what is refused."""
-
 import numpy as np
 import pytest
 

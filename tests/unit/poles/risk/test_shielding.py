@@ -1,5 +1,3 @@
-"""Barriers: length of need on both sides, ends, what they do not shield."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Validation of found poles against known ones."""
-
 import itertools
 
 import numpy as np
@@ -27,6 +25,7 @@ from roadsight.poles.risk.validation import (
     split_errors,
     within_reach,
 )
+from tests.helpers.rated_poles import track
 
 
 def best_by_trial(found, truth, threshold, power):
@@ -103,10 +102,6 @@ def test_cautions():
 def arc(radius_m, n=60, step_m=5.0):
     turn = np.arange(n) * step_m / radius_m
     return np.column_stack([radius_m * np.sin(turn), radius_m * (1 - np.cos(turn))])
-
-
-def track(xy, route="a"):
-    return pd.DataFrame({"route": route, "sequence": range(len(xy)), "x": xy[:, 0], "y": xy[:, 1]})
 
 
 @pytest.mark.parametrize("radius_m", [80.0, 250.0])

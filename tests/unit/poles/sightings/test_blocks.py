@@ -1,7 +1,3 @@
-"""Buildings and headwalls of classified clouds: outlines, size limits, tiles."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import laspy

@@ -1,7 +1,3 @@
-"""Trees and guardrails of generated roads, from their airborne clouds alone."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -1,5 +1,3 @@
-"""Markings of a drawn mask lie on the ground where they were painted."""
-
 import cv2
 import numpy as np
 import pytest

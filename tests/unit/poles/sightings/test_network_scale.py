@@ -1,7 +1,3 @@
-"""Depth networks held against the ground, camera by camera."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,17 +12,12 @@ def sightings(rng, ratio, count=60, scatter=0.15, view="front", route="a"):
     ground_m = true_m * np.exp(rng.normal(0, 0.03, count))
     table = pd.DataFrame(
         {
-            "route": route,
-            "view": view,
-            "true_m": true_m,
-            "depth_network_m": network_m,
-            "sigma_depth_network_m": 0.05 * network_m,
-            "depth_ground_m": ground_m,
-            "sigma_depth_ground_m": 0.03 * ground_m,
-            "depth_lidar_m": np.nan,
+            "route": route, "view": view, "true_m": true_m, "depth_network_m": network_m,
+            "sigma_depth_network_m": 0.05 * network_m, "depth_ground_m": ground_m,
+            "sigma_depth_ground_m": 0.03 * ground_m, "depth_lidar_m": np.nan,
             "sigma_depth_lidar_m": np.nan,
         }
-    )
+    )  # fmt: skip
     unseen = np.arange(count) % 3 == 0
     table.loc[unseen, ["depth_ground_m", "sigma_depth_ground_m"]] = np.nan
     table["depth_m"], table["sigma_depth_m"] = network_m, 0.05 * network_m

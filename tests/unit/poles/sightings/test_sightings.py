@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,16 +21,9 @@ from roadsight.poles.sightings.sightings import Evidence, measure_view
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
 CAMERA = ViewCamera(
-    Intrinsics.from_field_of_view(1000, 600, 60.0),
-    (5.0, -3.0, 2.5),
-    355.0,
-    -2.0,
-    1.0,
-    sigma_heading_deg=0.1,
-    sigma_pitch_deg=0.1,
-    sigma_lateral_m=0.1,
-    sigma_along_m=0.3,
-)
+    Intrinsics.from_field_of_view(1000, 600, 60.0), (5.0, -3.0, 2.5), 355.0, -2.0, 1.0,
+    sigma_heading_deg=0.1, sigma_pitch_deg=0.1, sigma_lateral_m=0.1, sigma_along_m=0.3,
+)  # fmt: skip
 
 
 def level(x, y):
@@ -154,14 +145,9 @@ def test_two_columns_that_agree_are_not_used():
         CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([20.0]), np.array([1.0]), 60.0
     )
     unknown = matching_columns(
-        CAMERA,
-        far,
-        np.array([350.0]),
-        np.array([0.2]),
-        np.array([np.nan]),
-        np.array([np.nan]),
+        CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([np.nan]), np.array([np.nan]),
         60.0,
-    )
+    )  # fmt: skip
     assert (known.tolist(), unknown.tolist()) == ([0], [-1])
 
 
@@ -370,13 +356,8 @@ def test_the_ray_of_a_lower_edge_above_the_camera_rises():
 def test_a_panel_is_on_a_post_that_ends_where_it_does(top_m, source):
     ground, points = np.zeros(1), np.full(1, 9.0)
     post = (
-        place(350.0, 20.3)[None],
-        np.array([top_m]),
-        np.array([0.05]),
-        ground,
-        points,
-        np.zeros(1),
-    )
+        place(350.0, 20.3)[None], np.array([top_m]), np.array([0.05]), ground, points, np.zeros(1),
+    )  # fmt: skip
     evidence = Evidence(level, PoleColumns(*post), np.empty((0, 3)))
     (sign,) = measure_view(CAMERA, signed(350.0, 20.0), None, evidence, SIGNS).to_dict("records")
     assert sign["depth_from"] == source

@@ -1,7 +1,3 @@
-"""Lean and arms of columns, on returns drawn from stems of known shape."""
-
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

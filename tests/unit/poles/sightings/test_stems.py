@@ -1,5 +1,3 @@
-"""Stems in dense clouds: short pieces, hedges, crowns and smeared returns."""
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""Trunks under crowns: shown, not shown, and shown not to be there."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""Calibration and alignment of a drive with a known lens, from files to the table of cameras."""
-
-from __future__ import annotations
-
 import json
 
 import cv2

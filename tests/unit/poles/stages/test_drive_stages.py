@@ -1,7 +1,3 @@
-"""Stages of the pole effects: profile of the drive, straightened views, given cameras."""
-
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,5 +1,3 @@
-"""The stage that traces pole axes, and options that a workflow may give without a value."""
-
 import argparse
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""The stages that read images, on a tiny videolog of one road with two poles."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -72,15 +68,30 @@ def write_site(folder):
     write_table(folder / "voxels.parquet", voxels, about)
     x, y = place(*TRUTH[0])
     column = {
-        "x": x,
-        "y": y,
-        "z_ground": 0.0,
-        "top_m": 9.0,
-        "sigma_m": 0.05,
-        "points": 9.0,
+        "x": x, "y": y, "z_ground": 0.0, "top_m": 9.0, "sigma_m": 0.05, "points": 9.0,
         "open_top": 0.0,
-    }
+    }  # fmt: skip
     write_table(folder / "columns.parquet", pd.DataFrame([column]))
+
+
+def write_side_view(folder, in_front=False):
+    """A site of one image with a view to the right; the camera that took it."""
+    write_site(folder)
+    table = read_table(folder / "frames.parquet")
+    write_table(folder / "frames.parquet", table.assign(right_path="right/" + table["path"]))
+    poles = [place(*one) for one in TRUTH]
+    for name, part in (("masks", 0), ("depth", 1)):
+        with ImageShardWriter(folder / f"{name}.zip") as shard:
+            shard.write("a0", rendered(poles)[part] * np.array(in_front, np.uint8))
+            shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
+    camera = read_table(folder / "cameras.parquet").iloc[0]
+    return str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
+
+
+def options(folder, file, out):
+    """The images' table, what is read beside it, and what is written."""
+    named = {"frames": "frames.parquet", file.split(".")[0]: file, "out": out}
+    return [f"--{name}={folder / path}" for name, path in named.items()]
 
 
 def measure(folder, *more: str) -> int:
@@ -146,16 +157,7 @@ def test_images_without_poles_give_an_empty_table(frames):
 
 
 def test_a_pole_in_two_views_is_kept_once(frames):
-    write_site(frames)
-    table = read_table(frames / "frames.parquet")
-    table["right_path"] = "right/" + table["path"]
-    write_table(frames / "frames.parquet", table)
-    poles = [place(*one) for one in TRUTH]
-    turned = replace(CAMERA, yaw_deg=20.0)
-    for name, part in (("masks", 0), ("depth", 1)):
-        with ImageShardWriter(frames / f"{name}.zip") as shard:
-            shard.write("a0", rendered(poles)[part])
-            shard.write("a0.right", rendered(poles, turned)[part])
+    write_side_view(frames, in_front=True)
     assert measure(frames, "--right-yaw-deg", "20") == 0
     found = read_table(frames / "sightings.parquet")
     assert len(found) == 4
@@ -168,17 +170,7 @@ def test_a_pole_in_two_views_is_kept_once(frames):
 @pytest.mark.parametrize(("said", "kept"), [("found", False), ("given", True)])
 def test_a_side_view_whose_yaw_the_drive_does_not_tell(frames, monkeypatch, said, kept):
     """Its bearings would be off by as much as the guess is."""
-    write_site(frames)
-    table = read_table(frames / "frames.parquet")
-    table["right_path"] = "right/" + table["path"]
-    write_table(frames / "frames.parquet", table)
-    poles = [place(*one) for one in TRUTH]
-    for name, part in (("masks", 0), ("depth", 1)):
-        with ImageShardWriter(frames / f"{name}.zip") as shard:
-            shard.write("a0", np.zeros_like(rendered(poles)[part]))
-            shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
-    camera = read_table(frames / "cameras.parquet").iloc[0]
-    key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
+    key = write_side_view(frames)
     monkeypatch.setattr(measure_poles, "_side_views", lambda *_: {key: Turns()})
     assert measure(frames, "--right-yaw-deg", "20", "--side-views", said) == 0
     found = read_table(frames / "sightings.parquet")
@@ -192,9 +184,7 @@ def test_edges_are_written_by_image_and_empty_ones_say_why(frames):
     with ImageShardWriter(frames / "masks.zip") as shard:
         shard.write("a0", straight_road())
         shard.write("a1", np.zeros((60, 80), np.uint8))
-    arguments = ["--frames", str(frames / "frames.parquet"), "--masks", str(frames / "masks.zip"),
-                 "--out", str(frames / "edges.parquet")]  # fmt: skip
-    assert trace_image_edges.main(arguments) == 0
+    assert trace_image_edges.main(options(frames, "masks.zip", "edges.parquet")) == 0
     table = read_table(frames / "edges.parquet")
     assert set(table["image"]) == {"a0.jpg"}
     assert set(table["kind"]) == {"lane", "border"}
@@ -235,9 +225,8 @@ def test_masks_come_from_networks_and_from_folders(frames):
     for i in range(2):
         cv2.imwrite(str(frames / f"labels/a{i}.png"), label)
     (frames / "map.yaml").write_text("labels: 2\nclasses: {1: pole}\n")
-    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
-                 "--out", str(frames / "masks.zip"), "--source", path,
-                 "--source", str(frames / "labels"), str(frames / "map.yaml")]  # fmt: skip
+    arguments = [*options(frames, "images", "masks.zip"), "--source", path]
+    arguments += ["--source", str(frames / "labels"), str(frames / "map.yaml")]
     assert segment_images.main(arguments) == 0
     shard = ImageShard(frames / "masks.zip")
     assert sorted(shard.names) == ["a0", "a1"]
@@ -257,8 +246,7 @@ def test_images_without_their_label_or_depth_are_left_out_and_named(frames, stag
     source = [str(frames / "given")]
     source += [str(frames / "map.yaml")] if stage == "segment_images" else []
     main = {"segment_images": segment_images, "estimate_depth": estimate_depth}[stage].main
-    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
-                 "--out", str(frames / "out.zip"), "--source", *source]  # fmt: skip
+    arguments = [*options(frames, "images", "out.zip"), "--source", *source]
     assert main(arguments) == 0
     shard = ImageShard(frames / "out.zip")
     assert (shard.names, shard.about["left_out"]) == (["a0"], ["a1"])
@@ -273,8 +261,7 @@ def test_images_without_their_label_or_depth_are_left_out_and_named(frames, stag
 def test_steps_behind_go_on_without_images_that_were_left_out(frames):
     with ImageShardWriter(frames / "masks.zip") as shard:
         shard.write("a0", straight_road())
-    base = ["--frames", str(frames / "frames.parquet"), "--masks", str(frames / "masks.zip")]
-    assert trace_image_edges.main([*base, "--out", str(frames / "edges.parquet")]) == 0
+    assert trace_image_edges.main(options(frames, "masks.zip", "edges.parquet")) == 0
     reasons = read_about(frames / "edges.parquet")["without_edges"]
     assert reasons == {"a1.jpg": "no label image"}
     write_site(frames)
@@ -295,8 +282,7 @@ def test_depth_the_wrong_way_round_names_the_key_to_change(frames, capsys):
         grey = (rows * 5).astype(np.uint8)
         cv2.imwrite(str(frames / f"images/a{i}.jpg"), cv2.merge([grey] * 3))
         cv2.imwrite(str(frames / f"depth/a{i}.png"), 1000 + rows * 100)
-    base = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
-            "--out", str(frames / "depth.zip"), "--source"]  # fmt: skip
+    base = [*options(frames, "images", "depth.zip"), "--source"]
     spec = {"task": "relative_depth", "output": {"kind": "inverse_depth"}}
     assert estimate_depth.main([*base, manifest(frames, [[1, 0, 0]], **spec)]) == 0
     (frames / "depth.zip").unlink()
@@ -322,25 +308,14 @@ def test_depth_of_other_proportions_than_its_image_is_refused(frames, capsys):
     kernel = tensor("w", np.ones((1, 3, 1, 1), np.float32))
     ends = [value("image", [1, 3, "h", "w"])], [value("logits", [1, 1, "h", "v"])]
     (frames / "tiny.onnx").write_bytes(network(nodes, [kernel], *ends))
-    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
-                 "--out", str(frames / "depth.zip"), "--source", path]  # fmt: skip
+    arguments = [*options(frames, "images", "depth.zip"), "--source", path]
     assert estimate_depth.main(arguments) == 2
     assert "other proportions than its input" in capsys.readouterr().err
     assert not (frames / "depth.zip").exists()
 
 
 def test_bearings_in_a_side_view_carry_the_error_of_its_yaw(frames, monkeypatch):
-    write_site(frames)
-    table = read_table(frames / "frames.parquet")
-    table["right_path"] = "right/" + table["path"]
-    write_table(frames / "frames.parquet", table)
-    poles = [place(*one) for one in TRUTH]
-    for name, part in (("masks", 0), ("depth", 1)):
-        with ImageShardWriter(frames / f"{name}.zip") as shard:
-            shard.write("a0", np.zeros_like(rendered(poles)[part]))
-            shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
-    camera = read_table(frames / "cameras.parquet").iloc[0]
-    key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
+    key = write_side_view(frames)
     stated, own, heading = [], [], []
     for sigma in (0.0, 0.5):
         turns = Turns((0.0, -20.0, 20.0), (0.0, np.inf, sigma))

@@ -1,7 +1,3 @@
-"""Pole-like columns through the stage: what settings mean, and that tiles do not show."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS

@@ -1,5 +1,3 @@
-"""Stages from sightings to poles, hazard and validation, and the verb, through command lines."""
-
 import argparse
 import json
 from pathlib import Path
@@ -37,13 +35,9 @@ from roadsight.stages.poles import measure_poles, rate_hazard, triangulate_poles
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
 FEET_CRS = "NAD83(2011) / North Carolina (ftUS) (EPSG:6543)"
 OUTPUTS = {
-    "out": "parquet",
-    "csv": "csv",
-    "layers": "gpkg",
-    "geometry-csv": "csv",
-    "sections": "parquet",
+    "out": "parquet", "csv": "csv", "layers": "gpkg", "geometry-csv": "csv", "sections": "parquet",
     "doubts": "json",
-}
+}  # fmt: skip
 POLES = np.array([[20.0, 8.0], [42, -7], [60, 8], [85, 9], [100, -8], [121, 8]])
 
 
@@ -92,24 +86,19 @@ def run_triangulation(site, *shards, **more):
     ends = {"poles": "parquet", "layers": "gpkg", "csv": "csv", "geojson": "geojson"}
     tag = more.get("tag", "")
     out = {name: str(site / f"{name}{tag}.{end}") for name, end in ends.items()}
-    arguments = [
-        "--sightings",
-        *(str(site / s) for s in shards),
-        "--frame",
-        str(site / "frame.json"),
-    ]
+    arguments = ["--sightings", *(str(site / s) for s in shards), f"--frame={site / 'frame.json'}"]
     arguments += [f"--{name}={path}" for name, path in out.items()]
     arguments += [
-        "--dem",
-        str(site / "dem.tif"),
-        "--sigma-position-m",
-        "0.3",
-        "--min-views",
-        "2",
-        "--pole-evidence=-0.5",
-        *more.get("also", []),
-    ]
+        "--dem", str(site / "dem.tif"), "--sigma-position-m", "0.3", "--min-views", "2",
+        "--pole-evidence=-0.5", *more.get("also", []),
+    ]  # fmt: skip
     return triangulate_poles.main(arguments), out
+
+
+def on_road(site):
+    """Options that name the frame, the images and the edges."""
+    ends = {"frame": "json", "frames": "parquet", "edges": "parquet"}
+    return [f"--{name}={site / name}.{end}" for name, end in ends.items()]
 
 
 @pytest.fixture(scope="module")
@@ -182,8 +171,8 @@ def test_shards_in_any_order_give_the_same_poles(site, poles):
 
 
 def test_the_published_sweep_places_poles_and_states_no_errors(site):
-    code, out = run_triangulation(site, "s0.parquet", "s1.parquet", tag="_sweep",
-                                  also=["--method", "sweep"])  # fmt: skip
+    also = ["--method", "sweep"]
+    code, out = run_triangulation(site, "s0.parquet", "s1.parquet", tag="_sweep", also=also)
     assert code == 0
     table, about = read_table(out["poles"]), read_about(out["poles"])
     gaps = np.hypot(*(table[["x", "y"]].to_numpy()[:, None] - POLES).transpose(2, 0, 1))
@@ -220,9 +209,7 @@ def test_poles_near_road_voxels_are_withheld(site):
 
 
 def test_hazard(site, poles):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
-    common += ["--poles", poles["poles"]]
+    common = [*on_road(site), "--poles", poles["poles"]]
     out, csv = site / "hazard.parquet", site / "hazard.csv"
     dem = ["--dem", str(site / "dem.tif"), "--out", str(out), "--csv", str(csv)]
     assert rate_hazard.main([*common, *dem]) == 0
@@ -242,10 +229,8 @@ def test_hazard(site, poles):
 
 
 def test_speed_and_traffic_of_the_site_hold_where_it_states_them(site, poles, tmp_path, caplog):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
-    arguments = [*common, "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
+    arguments = [*on_road(site), "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
     # As rules write what is not stated.
     assert rate_hazard.main([*arguments, "--design-speed-kmh=", "--aadt="]) == 0
     (told,) = read_json(out["doubts"])
@@ -264,22 +249,15 @@ def test_speed_and_traffic_of_the_site_hold_where_it_states_them(site, poles, tm
 
 
 def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_path):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
-    arguments = [*common, "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
+    arguments = [*on_road(site), "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
     arguments += ["--placed", poles["layers"], *(f"--{k}={v}" for k, v in out.items())]
     assert rate_hazard.main(arguments) == 0
     layers = dict(pyogrio.list_layers(out["layers"]))
     assert layers == {
-        "poles": "Point Z",
-        "ellipses": "Polygon",
-        "rays": "LineString",
-        "guardrails": "LineString",
-        "hazard": "Point Z",
-        "cross_sections": "LineString Z",
-        "road_geometry": "LineString Z",
-    }
+        "poles": "Point Z", "ellipses": "Polygon", "rays": "LineString", "guardrails": "LineString",
+        "hazard": "Point Z", "cross_sections": "LineString Z", "road_geometry": "LineString Z",
+    }  # fmt: skip
     for layer in layers:
         features = pyogrio.read_dataframe(out["layers"], layer=layer)
         assert features.crs.equals(CRS("EPSG:6543"))
@@ -325,10 +303,8 @@ def markings(folder, *lines):
 
 
 def test_markings_come_before_the_inventory_s_lanes(site, poles, tmp_path):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
-    arguments = [*common, "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
+    arguments = [*on_road(site), "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
     inventory = tmp_path / "i.csv"
     inventory.write_text("route,from_m,to_m,speed_kmh,aadt,lanes,lane_width_m\nr,0,200,90,9,2,3\n")
     arguments += ["--inventory", str(inventory)]
@@ -378,10 +354,8 @@ def given_roads(folder):
 
 
 def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, caplog):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
-    arguments = [*common, "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
+    arguments = [*on_road(site), "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
     arguments += [*given_roads(tmp_path), *(f"--{k}={v}" for k, v in out.items())]
     assert rate_hazard.main([*arguments, "--measure-unit", "mi"]) == 0
     told = {doubt["code"]: doubt for doubt in read_json(out["doubts"])}
@@ -463,9 +437,7 @@ def test_a_guardrail_that_was_found_shields_and_its_ends_are_objects(
     site, with_objects, tmp_path, given
 ):
     """One that the user gives too counts once."""
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
-    common += ["--dem", str(site / "dem.tif"), "--poles", with_objects["poles"]]
+    common = [*on_road(site), "--dem", str(site / "dem.tif"), "--poles", with_objects["poles"]]
     common += [f"--out={tmp_path / 'h.parquet'}", f"--csv={tmp_path / 'h.csv'}"]
     if given:
         given_roads(tmp_path)
@@ -511,8 +483,6 @@ def test_buildings_along_a_route_of_one_image_are_scored():
 
 
 def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objects, tmp_path):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     known = {
         "trees": [shapely.Point(31.0, 13.0), shapely.Point(100.0, 10.0), shapely.Point(60.0, 20.0)],
         "guardrails": [shapely.LineString([(0.0, 5.8), (160.0, 5.8)])],
@@ -520,7 +490,9 @@ def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objec
     }
     layers = {name: gpd.GeoDataFrame(geometry=own) for name, own in known.items()}
     write_layers(tmp_path / "roadside.gpkg", layers, FEET)
-    arguments = [*common, "--poles", with_objects["poles"], "--placed", with_objects["layers"]]
+    arguments = [
+        *on_road(site), "--poles", with_objects["poles"], "--placed", with_objects["layers"],
+    ]  # fmt: skip
     arguments += ["--truth", str(site / "truth.csv"), "--out", str(tmp_path / "v.json")]
     arguments += ["--roadside", str(tmp_path / "roadside.gpkg")]
     assert validate_poles.main([*arguments, "--kinds", "pole", "tree", "guardrail"]) == 0
@@ -543,9 +515,9 @@ def test_known_things_are_compared_with_what_is_of_their_kind(site, poles, tmp_p
     sign = np.hypot(*(table[["x", "y"]].to_numpy() - POLES[5]).T).argmin()
     table.loc[sign, "kind"] = "sign"
     write_table(tmp_path / "poles.parquet", table)
-    arguments = [f"--{name}={site / name}.{end}" for name, end in
-                 (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
-    arguments += ["--poles", str(tmp_path / "poles.parquet"), "--kinds", "pole", "sign"]
+    arguments = [
+        *on_road(site), "--poles", str(tmp_path / "poles.parquet"), "--kinds", "pole", "sign",
+    ]  # fmt: skip
     arguments += ["--truth", str(tmp_path / "truth.csv"), "--truth-kind", kind]
     assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
     scores = read_json(tmp_path / "v.json")
@@ -556,18 +528,10 @@ def test_known_things_are_compared_with_what_is_of_their_kind(site, poles, tmp_p
 def test_the_published_triangulation_is_scored_like_ours(site, tmp_path):
     """Of poles alone, whatever else was sighted."""
     given = compare_components.Given(
-        frames=site / "frames.parquet",
-        image_edges=(),
-        masks=(),
-        depth=(),
-        road_edges=site / "edges.parquet",
-        columns=tmp_path,
-        voxels=tmp_path,
-        dem=site / "dem.tif",
-        frame=site / "frame.json",
-        truth=str(site / "truth.csv"),
-        settings_json="",
-    )
+        frames=site / "frames.parquet", image_edges=(), masks=(), depth=(),
+        road_edges=site / "edges.parquet", columns=tmp_path, voxels=tmp_path, dem=site / "dem.tif",
+        frame=site / "frame.json", truth=str(site / "truth.csv"), settings_json="",
+    )  # fmt: skip
     sections = (Calibration, Alignment, Sightings, Triangulation, Validation)
     settings = compare_components.PoleSettings(
         **{section.__name__.lower(): section() for section in sections}
@@ -602,9 +566,7 @@ def test_variants_share_what_their_component_does_not_change(tmp_path):
 
 
 def test_validation(site, poles):
-    common = [f"--{name}={site / name}.{end}" for name, end in
-              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
-    common += ["--poles", poles["poles"]]
+    common = [*on_road(site), "--poles", poles["poles"]]
     result = site / "validation.json"
     truth = ["--truth", str(site / "truth.csv"), "--out", str(result), "--kinds", "pole"]
     assert validate_poles.main([*common, *truth]) == 0
@@ -631,9 +593,9 @@ def test_voxels_too_wide_to_tell_a_driveway_leave_it_unknown(
     index = {"ix": (x[paved] / cell_m).astype(int), "iy": np.round(y[paved] / cell_m).astype(int)}
     about = {"cell_size_m": cell_m, "anchor": [0.0, 0.0, 0.0]}
     write_table(tmp_path / "voxels.parquet", pd.DataFrame(index).assign(cls=11), about)
-    arguments = [f"--{name}={site / name}.{end}" for name, end in
-                 (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
-    arguments += ["--poles", poles["poles"], "--voxels", str(tmp_path / "voxels.parquet")]
+    arguments = [
+        *on_road(site), "--poles", poles["poles"], "--voxels", str(tmp_path / "voxels.parquet"),
+    ]  # fmt: skip
     arguments += ["--truth", str(site / "truth.csv"), "--kinds", "pole"]
     assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
     extraneous = read_json(tmp_path / "v.json")["scenarios"]["extraneous"]

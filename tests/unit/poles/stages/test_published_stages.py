@@ -1,7 +1,3 @@
-"""The pole study's alignment through its stages: calibrate_drive, then align_cameras."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

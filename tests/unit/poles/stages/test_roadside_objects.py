@@ -1,7 +1,3 @@
-"""Trees and guardrails of a cloud whose density changes at a tile's border, through the stage."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS

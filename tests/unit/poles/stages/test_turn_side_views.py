@@ -1,7 +1,3 @@
-"""The stage that finds the yaw of side views in what images share, on a rendered road."""
-
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,18 +38,12 @@ def drive(tmp_path_factory):
             lens = front.intrinsics
             frames.append(
                 {
-                    "image": shot.name(),
-                    "path": shot.name(),
-                    "left_path": "",
-                    "right_path": shot.name("right"),
-                    "route": shot.route,
-                    "sequence": shot.sequence,
-                    "width_px": lens.width_px,
-                    "height_px": lens.height_px,
-                    "x": 0.0,
-                    "y": 0.0,
+                    "image": shot.name(), "path": shot.name(), "left_path": "",
+                    "right_path": shot.name("right"), "route": shot.route,
+                    "sequence": shot.sequence, "width_px": lens.width_px,
+                    "height_px": lens.height_px, "x": 0.0, "y": 0.0,
                 }
-            )
+            )  # fmt: skip
             heading, pitch, roll = (float(angle) for angle in attitude_deg(front.rotation))
             x, y, z = front.position_m
             pose = {"x": x, "y": y, "z": z, "heading_deg": heading, "pitch_deg": pitch}

@@ -1,7 +1,3 @@
-"""Buildings and trees of the cloud as rows beside poles."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -50,13 +46,10 @@ def mask_of(cls, xy=(0.0, 20.0), top=10.0, half_m=2.0):
 @pytest.mark.parametrize(
     ("cls", "answer"),
     [
-        (PixelClass.TREE, SEEN),
-        (PixelClass.BUILDING, AGAINST),
-        (PixelClass.SKY, AGAINST),
-        (PixelClass.VEHICLE, UNDECIDED),
-        (PixelClass.POLE, UNDECIDED),
+        (PixelClass.TREE, SEEN), (PixelClass.BUILDING, AGAINST), (PixelClass.SKY, AGAINST),
+        (PixelClass.VEHICLE, UNDECIDED), (PixelClass.POLE, UNDECIDED),
     ],
-)
+)  # fmt: skip
 def test_what_a_mask_shows_at_a_tree_decides(cls, answer):
     (trees,) = objects_of(pd.DataFrame([tree(0, 0.0, 20.0)]))
     assert show(CAMERA, mask_of(cls), trees, 60.0).tolist() == [answer]
@@ -84,15 +77,10 @@ def test_views_together_decide():
         [*(tree(n, 0.0, 20.0) for n in range(4)), *rail(0, 3, 8, 20), *rail(1, 3, 8, 20)]
     )
     said = [
-        ("tree", 0, "b", SEEN),
-        ("tree", 0, "a", SEEN),
-        ("tree", 0, "c", AGAINST),
-        ("tree", 1, "a", SEEN),
-        ("tree", 1, "b", AGAINST),
-        ("tree", 1, "c", AGAINST),
-        ("tree", 2, "a", UNDECIDED),
-        ("guardrail", 0, "a", UNDECIDED),
-    ]
+        ("tree", 0, "b", SEEN), ("tree", 0, "a", SEEN), ("tree", 0, "c", AGAINST),
+        ("tree", 1, "a", SEEN), ("tree", 1, "b", AGAINST), ("tree", 1, "c", AGAINST),
+        ("tree", 2, "a", UNDECIDED), ("guardrail", 0, "a", UNDECIDED),
+    ]  # fmt: skip
     seen = pd.DataFrame(said, columns=["kind", "object", "image", "answer"]).assign(route="r")
     told = confirmed(table, seen).set_index(["kind", "object"])
     assert told["kept"].to_dict() == {
@@ -183,28 +171,15 @@ def test_the_only_image_of_a_route_is_a_place_to_be_near(objects):
     assert found[["x", "y"]].iloc[0].tolist() == [25.0, 12.0]
 
 
-def test_trees_have_their_height_and_the_width_of_their_crowns():
+@pytest.mark.parametrize(
+    ("shows", "trunk", "place"),
+    [("crown", [np.nan] * 3, [3.0, 9.0, 0.8]), ("trunk", [3.5, 8.0, 0.1], [3.5, 8.0, 0.1])],
+)
+def test_trees_have_their_size_and_stand_where_the_cloud_shows_their_trunks(shows, trunk, place):
     tree = {"kind": "tree", "object": 0, "x": 3.0, "y": 9.0, "top_m": 8.0, "width_m": 4.5}
-    tree |= {"trunk_x": np.nan, "trunk_y": np.nan, "trunk_sigma_m": np.nan}
-    table = pd.DataFrame([tree | {"sigma_m": 0.8, "cloud_shows": "crown"}])
-    found = trees_of(table, confirmed(table, said([("tree", 0, 1)])))
-    assert found[["height_m", "crown_width_m"]].iloc[0].tolist() == [8.0, 4.5]
-    assert found[["x", "y", "sigma_major_m", "cloud_shows"]].iloc[0].tolist() == [
-        3,
-        9,
-        0.8,
-        "crown",
-    ]
-
-
-def test_a_tree_stands_where_the_cloud_shows_its_trunk():
-    tree = {"kind": "tree", "object": 0, "x": 3.0, "y": 9.0, "top_m": 8.0, "width_m": 4.5}
-    tree |= {"trunk_x": 3.5, "trunk_y": 8.0, "trunk_sigma_m": 0.1, "sigma_m": 0.8}
-    table = pd.DataFrame([tree | {"cloud_shows": "trunk"}])
-    found = trees_of(table, confirmed(table, said([("tree", 0, 1)])))
-    assert found[["x", "y", "sigma_major_m", "sigma_minor_m"]].iloc[0].tolist() == [
-        3.5,
-        8,
-        0.1,
-        0.1,
-    ]
+    tree |= dict(zip(("trunk_x", "trunk_y", "trunk_sigma_m"), trunk, strict=True))
+    table = pd.DataFrame([tree | {"sigma_m": 0.8, "cloud_shows": shows}])
+    found = trees_of(table, confirmed(table, said([("tree", 0, 1)]))).iloc[0]
+    assert found[["height_m", "crown_width_m", "cloud_shows"]].tolist() == [8.0, 4.5, shows]
+    assert found[["x", "y", "sigma_major_m"]].tolist() == place
+    assert found["sigma_minor_m"] == found["sigma_major_m"]

@@ -1,7 +1,3 @@
-"""Shapes of the cloud's columns go to the poles that they are."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
@@ -24,17 +20,12 @@ def poles():
 def columns():
     return pd.DataFrame(
         {
-            "x": [0.2, 11.9, 42.0],
-            "y": np.zeros(3),
-            "top_m": [9.0, 8.0, 7.0],
-            "open_top": [0.0, 1.0, 0.0],
-            "lean_deg": [2.0, 3.0, 4.0],
-            "sigma_lean_deg": [0.5, 0.5, 0.5],
-            "lean_azimuth_deg": [90.0, 180.0, 270.0],
-            "arm_m": [1.2, np.nan, 1.0],
-            "arm_sides": [2.0, 0.0, 1.0],
+            "x": [0.2, 11.9, 42.0], "y": np.zeros(3), "top_m": [9.0, 8.0, 7.0],
+            "open_top": [0.0, 1.0, 0.0], "lean_deg": [2.0, 3.0, 4.0],
+            "sigma_lean_deg": [0.5, 0.5, 0.5], "lean_azimuth_deg": [90.0, 180.0, 270.0],
+            "arm_m": [1.2, np.nan, 1.0], "arm_sides": [2.0, 0.0, 1.0],
         }
-    )
+    )  # fmt: skip
 
 
 def test_a_pole_has_the_shape_of_the_column_at_its_place():

@@ -1,7 +1,3 @@
-"""Panels of near rays, and of far ones."""
-
-from __future__ import annotations
-
 import numpy as np
 
 from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays

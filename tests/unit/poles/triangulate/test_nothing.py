@@ -1,5 +1,3 @@
-"""An answer of no pole says why."""
-
 import numpy as np
 import pandas as pd
 

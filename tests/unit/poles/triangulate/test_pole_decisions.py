@@ -1,7 +1,3 @@
-"""Decisions of a person on poles: read, found again, and applied."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,3 @@
-"""Doubts about located poles."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-"""The published method, sightings anywhere on Earth, and the published sample."""
-
 import numpy as np
 import pandas as pd
 import pytest

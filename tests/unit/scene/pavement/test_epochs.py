@@ -1,7 +1,3 @@
-"""Scans that differ by more than their noise: what is said, and what is not."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""The pavement stage from a cloud on: which way it takes, and what it says."""
-
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -120,7 +116,6 @@ def test_a_seed_off_the_cloud_is_one_message(scene, capsys):
     assert "site s" in message and "seed 1 of 1 lies where no ground was measured" in message
 
 
-@pytest.mark.real
 @needs_data
 def test_a_seed_off_a_real_cloud_is_said(tmp_path, capsys):
     bank = Scene(tmp_path, DATA / "clouds/autzen_trim.laz")

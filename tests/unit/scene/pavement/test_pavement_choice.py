@@ -1,7 +1,3 @@
-"""Which way to the pavement is taken, what is known of the road, and what is told of it."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

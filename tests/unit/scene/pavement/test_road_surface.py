@@ -1,7 +1,3 @@
-"""The road as a surface that runs on until a kerb, grass or a wall ends it."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely
@@ -285,24 +281,10 @@ def growth(height, seed, step=0.02):
     shape = height.shape
     nothing = np.zeros(shape)
     return grow(
-        seed,
-        np.ones(shape, bool),
-        np.zeros(shape, bool),
-        height,
-        nothing,
-        nothing,
-        np.zeros((*shape, 1)),
-        np.array([4.0]),
-        np.array([0.1]),
-        np.array([np.inf]),
-        np.full(shape, step),
-        nothing,
-        1.0,
-        6.0,
-        3,
-        2,
-        0.3,
-    )
+        seed, np.ones(shape, bool), np.zeros(shape, bool), height, nothing, nothing,
+        np.zeros((*shape, 1)), np.array([4.0]), np.array([0.1]), np.array([np.inf]),
+        np.full(shape, step), nothing, 1.0, 6.0, 3, 2, 0.3,
+    )  # fmt: skip
 
 
 def test_growth_stops_at_a_step_and_at_a_gap_narrower_than_a_vehicle():

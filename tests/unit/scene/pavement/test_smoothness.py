@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -124,12 +122,9 @@ class TestLocalIntensity:
 
 
 @given(
-    middle=st.floats(1.0, 60_000.0),
-    spread=st.floats(0.01, 0.3),
-    share=st.floats(0.2, 0.8),
-    apart=st.floats(6.0, 20.0),
-    seed=st.integers(0, 2**16),
-)
+    middle=st.floats(1.0, 60_000.0), spread=st.floats(0.01, 0.3), share=st.floats(0.2, 0.8),
+    apart=st.floats(6.0, 20.0), seed=st.integers(0, 2**16),
+)  # fmt: skip
 @settings(max_examples=25, deadline=None)
 def test_one_gaussian_is_one_tone_and_two_far_apart_are_two(middle, spread, share, apart, seed):
     rng = np.random.default_rng(seed)

@@ -1,5 +1,3 @@
-"""Turns that do not close are closed; steps of the street stay."""
-
 import numpy as np
 import pytest
 

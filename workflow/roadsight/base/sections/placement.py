@@ -28,6 +28,16 @@ class Candidates(Section):
     arm_m: Metres = Field(
         default=0.75, description="sensors on existing poles hang this far off them, m"
     )
+    on_pavement_m: Metres = Field(
+        default=1.0,
+        description="positions along edges deeper in the pavement than this are in the lanes, m",
+    )
+    on_pavement_doubt: Share = Field(
+        default=0.05, description="from this share of candidates in the lanes, a doubt is told"
+    )
+    on_pavement_refused: Share = Field(
+        default=0.5, description="from this share of candidates in the lanes, edges are refused"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Candidates:

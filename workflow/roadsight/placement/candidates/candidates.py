@@ -13,7 +13,10 @@ from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.doubts import Doubt, Severity, listed
 from roadsight.base.sections.placement import Candidates
+from roadsight.geometry.areas import depth_inside_m
+from roadsight.placement.candidates.mounting import POLE
 
 # Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
 # (`docs/decisions/009-roofs-end-the-search-for-heights.md`).
@@ -331,3 +334,82 @@ def has_measured_ground(xy_m: Floats, ground_xy_m: Floats) -> Bools:
     reach_m = max(FOOT_M, _FOOT_SPACINGS * spacing_m)
     distance_m, _ = tree.query(xy_m, distance_upper_bound=reach_m * (1 + 1e-9))
     return np.isfinite(distance_m)
+
+
+# Edges that run over the pavement, because they were digitised some metres off.
+
+_REACH_M = 15.0  # shifts are tried this far: four lanes
+_STEPS_M = (1.0, 0.25, 0.05)  # on grids ever finer; one reaches a step of the one before
+_OUTLIER_M = 5.0  # what is farther from the border counts as this: edges of a road beyond the cloud
+# What is beside the pavement counts less, since lines along a verge or a median strip keep off it.
+_BESIDE = 0.1
+# What each metre of a shift costs, m2: none along the road, which no border tells.
+_PER_M = 0.02
+_MOST_PLACES = 200
+
+
+def plan_shift_m(xy_m: Floats, pavement: MultiPolygon) -> Floats:
+    """Shift (2,) in plan that brings places along the edges nearest to the pavement's border.
+
+    Of shifts up to 15 m east or west and north or south, on grids down to 0.05 m, the one of the
+    least mean squared distance to the border. Places beside the pavement count a tenth, and at most
+    as 5 m; of shifts alike, the shortest is taken.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) places, n >= 1; at most 200 of them, evenly taken, are used.
+    """
+    xy = xy_m[:: -(-len(xy_m) // _MOST_PLACES)]
+    best, reach = np.zeros(2), _REACH_M
+    for step in _STEPS_M:
+        along = step * np.arange(-round(reach / step), round(reach / step) + 1)
+        tried = best + np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+        depth_m = depth_inside_m(pavement, (tried[:, None] + xy).reshape(-1, 2))
+        misfit_m2 = np.where(depth_m > 0, 1.0, _BESIDE) * depth_m**2
+        misfit_m2 = np.minimum(misfit_m2, _OUTLIER_M**2).reshape(len(tried), -1).mean(axis=1)
+        best, reach = tried[np.argmin(misfit_m2 + _PER_M * np.hypot(*tried.T))], step
+    return best
+
+
+_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+def shift_in_words(shift_m: Floats) -> str:
+    """A shift (2,) east and north, such as ``1.4 m to the north-east (dx +1.0, dy +1.0 m)``."""
+    dx, dy = np.round(shift_m, 1) + 0.0  # turns -0.0 into 0.0
+    wind = _WINDS[round(np.degrees(np.arctan2(dx, dy)) / 45) % 8]
+    return f"{np.hypot(dx, dy):.1f} m to the {wind} (dx {dx:+.1f}, dy {dy:+.1f} m)"
+
+
+def lane_doubts(
+    candidates: pd.DataFrame, positions: pd.DataFrame, pavement: MultiPolygon, settings: Candidates
+) -> list[Doubt]:
+    """Doubts about edges whose candidates stand in the lanes; sensors on existing poles may.
+
+    Parameters
+    ----------
+    candidates : columns x, y, edge and mount. positions : columns x, y and mount, all places along
+        the edges, also those that carry no candidate.
+    """
+    candidates = candidates[candidates["mount"] != POLE]
+    xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+    inside = depth_inside_m(pavement, xy_m) > settings.on_pavement_m
+    share = float(inside.mean()) if len(inside) else 0.0
+    refused = share >= settings.on_pavement_refused
+    if not share or not (refused or share >= settings.on_pavement_doubt):
+        return []
+    along = positions.loc[positions["mount"] != POLE, ["x", "y"]].to_numpy(np.float64)
+    shift_m = plan_shift_m(along, pavement)
+    left = float((depth_inside_m(pavement, xy_m + shift_m) > settings.on_pavement_m).mean())
+    advice = f"moved {shift_in_words(shift_m)} they fit its border best: {left:.0%} still inside"
+    if left > share / 2:
+        advice = f"no shift of all edges by up to {_REACH_M:g} m brings them off it"
+    text = (
+        f"sensors along {listed(list(candidates['edge'][inside]))} would stand in the lanes, more"
+        f" than {settings.on_pavement_m:g} m inside the pavement; {advice}. Correct the edges"
+        " (placement.edges) or their CRS (placement.edges_crs), or raise candidates.on_pavement_m"
+        " if they are to hang over the lanes. Share of candidates in the lanes"
+    )
+    limit = settings.on_pavement_refused if refused else settings.on_pavement_doubt
+    severity: Severity = "refused" if refused else "doubt"
+    return [Doubt("edges_on_pavement", severity, text, round(share, 3), limit)]

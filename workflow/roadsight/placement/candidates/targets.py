@@ -13,6 +13,7 @@ from shapely import LineString, MultiPolygon
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Targets
+from roadsight.geometry.areas import depth_inside_m
 from roadsight.scene.grids import Grid
 
 _USUAL = Targets()
@@ -148,23 +149,7 @@ def at_least_inside(outline: MultiPolygon, xy_m: Floats, inset_m: Floats) -> Boo
     A cell on the outline may hold enough points with its centre beyond the kerb, where nothing
     drives and what stands on the verge hides it.
     """
-    if outline.is_empty or not len(xy_m):
-        return np.zeros(len(xy_m), bool)
-    shapely.prepare(outline)
-    points = shapely.points(xy_m)
-    # Segment by segment: the distance to a whole outline looks at every vertex for every place.
-    rings = [ring for part in outline.geoms for ring in (part.exterior, *part.interiors)]
-    corners = [shapely.get_coordinates(ring) for ring in rings]
-    sides = shapely.linestrings(
-        np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in corners])
-    )
-    (place, _), distance_m = shapely.STRtree(sides).query_nearest(
-        points, return_distance=True, all_matches=False
-    )
-    from_rim_m = np.empty(len(points))
-    from_rim_m[place] = distance_m
-    signed_m = np.where(shapely.intersects(outline, points), from_rim_m, -from_rim_m)
-    return np.asarray(signed_m >= inset_m - 1e-9)
+    return np.asarray(depth_inside_m(outline, xy_m) >= inset_m - 1e-9)
 
 
 def examined_areas_m2(

@@ -29,11 +29,12 @@ from roadsight.io.vector.vectors import read_layer, read_polygons
 from roadsight.placement.candidates.candidates import (
     REACH_M,
     has_measured_ground,
+    lane_doubts,
     positions_along,
     stack_candidates,
 )
 from roadsight.placement.candidates.mounting import POLE, outside_zones, positions_on_poles
-from roadsight.stages.command import Command
+from roadsight.stages.command import Command, tell
 
 log = logging.getLogger("place_candidates")
 
@@ -61,8 +62,14 @@ class CandidateFiles:
     overhead_cover: Literal["simulate", "skip"] = "simulate"
 
 
-def place_candidates(site: str, given: CandidateFiles, *, out: Path) -> None:
-    """Write the candidates of round 0."""
+def place_candidates(
+    site: str,
+    given: CandidateFiles,
+    *,
+    doubts_path: Annotated[Path, "what the candidates rest on"],
+    out: Path,
+) -> None:
+    """Write the candidates of round 0; edges in the lanes are refused."""
     frame = Frame.from_dict(read_json(given.frame))
     edges, pavement = read_road(given.edges, given.pavement, frame)
     positions = allowed_positions(
@@ -78,6 +85,8 @@ def place_candidates(site: str, given: CandidateFiles, *, out: Path) -> None:
             hint="move the edges (edges.offset_m, placement.edges), make the zones without sensors"
             " smaller (placement.zones) or widen the height range",
         )
+    doubts = lane_doubts(candidates, positions, pavement, given.settings)
+    tell(doubts, doubts_path, f"site {site}", log)
     log.info("%d candidates at %d positions", len(candidates), candidates["key"].nunique())
     write_table(out, candidates[COLUMNS])
 
