@@ -23,18 +23,9 @@ Size = Literal["short", "long"]
 Measured = Mapping[str, Mapping[str, Any]]
 # Of ``paper.csv``.
 COLUMNS = (
-    "study",
-    "item",
-    "site",
-    "row",
-    "quantity",
-    "unit",
-    "published",
-    "as_published",
-    "default",
-    "cpu_s_as_published",
-    "cpu_s_default",
-)
+    "study", "item", "site", "row", "quantity", "unit", "published", "as_published", "default",
+    "cpu_s_as_published", "cpu_s_default",
+)  # fmt: skip
 NATIVE_PX = 416  # Height of the generated images.
 PUBLISHED_FILE = "config/published.yaml"  # Settings of both studies.
 # Generated roads that stand for those of the placement study (its Table 2).

@@ -27,22 +27,9 @@ TIMING_NOISE = 0.1
 # ... and more than so many seconds less: that is what starting a process varies by.
 TIMING_NOISE_S = 0.3
 COLUMNS = (
-    "job",
-    "stage",
-    "knob",
-    "level",
-    "cpu_seconds",
-    "wall_seconds",
-    "peak_mib",
-    "metric",
-    "value",
-    "unit",
-    "reference",
-    "error_vs_reference",
-    "repeats",
-    "is_default",
-    "on_frontier",
-)
+    "job", "stage", "knob", "level", "cpu_seconds", "wall_seconds", "peak_mib", "metric", "value",
+    "unit", "reference", "error_vs_reference", "repeats", "is_default", "on_frontier",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

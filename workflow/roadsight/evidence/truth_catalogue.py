@@ -21,15 +21,9 @@ STREETS = ("02", "03", "05", "07", "08")
 ISPRS = ("samp11", "samp21", "samp31", "samp42", "samp52", "samp53", "samp71")
 # Public covering instances.
 COVERS = (
-    "camera_placement_ac01",
-    "sc_157_0",
-    "sc_1000_11",
-    "sc_330_0",
-    "sc_5000_1",
-    "rail507",
-    "scpnrg1",
-    "scpcyc09",
-)
+    "camera_placement_ac01", "sc_157_0", "sc_1000_11", "sc_330_0", "sc_5000_1", "rail507",
+    "scpnrg1", "scpcyc09",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -180,17 +174,8 @@ AREAS: dict[str, Area] = {
 
 
 COLUMNS = (
-    "area",
-    "dataset",
-    "metric",
-    "unit",
-    "ours",
-    "peer",
-    "peer_name",
-    "published",
-    "goal",
-    "cpu_s",
-)
+    "area", "dataset", "metric", "unit", "ours", "peer", "peer_name", "published", "goal", "cpu_s",
+)  # fmt: skip
 MEAN = "mean"
 
 

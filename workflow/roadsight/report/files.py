@@ -23,39 +23,17 @@ def read_assets(names: Iterable[str]) -> dict[str, str]:
 STYLES = ("base.css", "parts.css", "views.css", "poles.css")
 
 SCRIPTS = (
-    "data.js",
-    "map_tools.js",
-    "plan_canvas.js",
-    "map_view.js",
-    "map_layers.js",
-    "scene_view.js",
-    "site.js",
-    "poles_data.js",
-    "poles_map.js",
-    "poles_layers.js",
-    "poles_images.js",
-    "poles.js",
+    "data.js", "map_tools.js", "plan_canvas.js", "map_view.js", "map_layers.js", "scene_view.js",
+    "site.js", "poles_data.js", "poles_map.js", "poles_layers.js", "poles_images.js", "poles.js",
     "main.js",
-)
+)  # fmt: skip
 
 TEMPLATES = (
-    "report.html.j2",
-    "site.html.j2",
-    "parts.html.j2",
-    "plans.html.j2",
-    "views.html.j2",
-    "sensors.html.j2",
-    "options.html.j2",
-    "sight.html.j2",
-    "data.html.j2",
-    "tolerance.html.j2",
-    "gaps.html.j2",
-    "evidence.html.j2",
-    "effects.html.j2",
-    "poles.html.j2",
-    "poles_results.html.j2",
+    "report.html.j2", "site.html.j2", "parts.html.j2", "plans.html.j2", "views.html.j2",
+    "sensors.html.j2", "options.html.j2", "sight.html.j2", "data.html.j2", "tolerance.html.j2",
+    "gaps.html.j2", "evidence.html.j2", "effects.html.j2", "poles.html.j2", "poles_results.html.j2",
     "common.html.j2",
-)
+)  # fmt: skip
 
 ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)  # Names of the files that `render_report` needs
 

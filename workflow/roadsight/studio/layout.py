@@ -33,15 +33,9 @@ from roadsight.studio.requests import Body
 _MOST_SENSORS = 5000  # Sensors of a layout that are taken from a page
 
 _SUMMARY = (
-    "status",
-    "objective",
-    "bound",
-    "gap",
-    "at_least",
-    "targets",
-    "covered_targets",
+    "status", "objective", "bound", "gap", "at_least", "targets", "covered_targets",
     "uncoverable_targets",
-)
+)  # fmt: skip
 
 
 class WhatIf(Body):

@@ -30,18 +30,9 @@ _HAZARD = "poles/hazard.parquet"
 _FILE = "pole_decisions.csv"
 
 _SHOWN = (
-    "id",
-    "kind",
-    "x",
-    "y",
-    "z",
-    "score",
-    "sigma_major_m",
-    "sigma_minor_m",
-    "sigma_azimuth_deg",
-    "kept",
-    "reason",
-)
+    "id", "kind", "x", "y", "z", "score", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg",
+    "kept", "reason",
+)  # fmt: skip
 
 _SEEN = ("image", "view", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "x", "y")
 _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")

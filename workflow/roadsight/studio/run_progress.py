@@ -158,16 +158,10 @@ CHECKPOINT = "profile_scene"  # The rule after which Snakemake may find further 
 
 # How Snakemake begins each reason for a job; files may follow
 _HEADS = (
-    "Missing output files",
-    "Incomplete output files",
-    "Updated input files",
-    "Input files updated by another job",
-    "Set of input files has changed",
-    "Code has changed",
-    "Params have changed",
-    "Software environment definition has changed",
-    "Forced execution",
-)
+    "Missing output files", "Incomplete output files", "Updated input files",
+    "Input files updated by another job", "Set of input files has changed", "Code has changed",
+    "Params have changed", "Software environment definition has changed", "Forced execution",
+)  # fmt: skip
 
 # The reason that is another job's, not a cause of its own
 _FOLLOWS = "Input files updated by another job"

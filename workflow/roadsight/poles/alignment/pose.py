@@ -19,21 +19,10 @@ from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import compass_deg
 
 UNKNOWNS = (
-    "along_m",
-    "lateral_m",
-    "height_m",
-    "yaw_deg",
-    "pitch_deg",
-    "roll_deg",
-    "log_focal",
-    "cx_shift_px",
-    "lane_inset_left_m",
-    "lane_inset_right_m",
-    "border_inset_left_m",
-    "border_inset_right_m",
-    "left_yaw_deg",
-    "right_yaw_deg",
-)
+    "along_m", "lateral_m", "height_m", "yaw_deg", "pitch_deg", "roll_deg", "log_focal",
+    "cx_shift_px", "lane_inset_left_m", "lane_inset_right_m", "border_inset_left_m",
+    "border_inset_right_m", "left_yaw_deg", "right_yaw_deg",
+)  # fmt: skip
 ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, CX, INSETS = range(9)
 TURNS = 12  # Number of the first yaw of a side view; between `INSETS` and this are the four insets
 _TIMES = [1] * INSETS + [2, 2, 2]  # How many unknowns share a value of `Spread`

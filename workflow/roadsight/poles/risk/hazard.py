@@ -64,16 +64,9 @@ from roadsight.poles.risk.shielding import Demand, shielding
 RULE = __doc__.split("\n\n", 1)[1].strip() if __doc__ else ""
 # What every version of the table has.
 HAZARD_COLUMNS = [
-    "offset_m",
-    "side",
-    "clear_zone_m",
-    "inside_clear_zone",
-    "slope_rise_over_run",
-    "slope_class",
-    "station_m",
-    "objects_per_km",
-    "rating",
-]
+    "offset_m", "side", "clear_zone_m", "inside_clear_zone", "slope_rise_over_run", "slope_class",
+    "station_m", "objects_per_km", "rating",
+]  # fmt: skip
 _NAN = float("nan")
 # Columns that tell an object's cross-section, and what they hold where there is none.
 _UNKNOWN: dict[str, float | str] = {

@@ -51,14 +51,9 @@ _FLOOR_M = 0.03
 # Where lanes are from, as tables say it.
 MARKINGS, INVENTORY, PAVED = "markings", "inventory", "paved width"
 LANE_COLUMNS = (
-    "left_m",
-    "right_m",
-    "sigma_left_m",
-    "sigma_right_m",
-    "lanes",
-    "lane_width_m",
+    "left_m", "right_m", "sigma_left_m", "sigma_right_m", "lanes", "lane_width_m",
     "sigma_lane_width_m",
-)
+)  # fmt: skip
 
 
 class _Line(NamedTuple):

@@ -30,24 +30,11 @@ STRAIGHT_M = 5000.0
 # terrain cells of 0.5 m reach over two heights.
 _CORRELATION = 2.0
 COLUMNS = (
-    "road",
-    "station_m",
-    "x",
-    "y",
-    "z",
-    "heading_deg",
-    "radius_m",
-    "bend",
-    "curvature_per_km",
-    "sigma_curvature_per_km",
-    "grade_percent",
-    "sigma_grade_percent",
-    "cross_slope_left_percent",
-    "cross_slope_right_percent",
-    "sigma_cross_slope_percent",
-    "paved_width_m",
+    "road", "station_m", "x", "y", "z", "heading_deg", "radius_m", "bend", "curvature_per_km",
+    "sigma_curvature_per_km", "grade_percent", "sigma_grade_percent", "cross_slope_left_percent",
+    "cross_slope_right_percent", "sigma_cross_slope_percent", "paved_width_m",
     "sigma_paved_width_m",
-)
+)  # fmt: skip
 
 
 def road_geometry(road: Road, height: Height | None, every_m: float = STATION_M) -> pd.DataFrame:

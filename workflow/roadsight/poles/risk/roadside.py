@@ -38,26 +38,10 @@ _BESIDE_EDGE_M = 0.5
 _DEM_STEP_M = 0.25  # spacing of heights from a terrain model: half its usual cell
 # Of the table of cross-sections, one element a row.
 SECTION_COLUMNS = (
-    "section",
-    "object",
-    "route",
-    "station_m",
-    "side",
-    "element",
-    "kind",
-    "start_m",
-    "end_m",
-    "width_m",
-    "sigma_width_m",
-    "slope_rise_over_run",
-    "sigma_slope",
-    "slope_ratio",
-    "rise_m",
-    "start_x",
-    "start_y",
-    "end_x",
-    "end_y",
-)
+    "section", "object", "route", "station_m", "side", "element", "kind", "start_m", "end_m",
+    "width_m", "sigma_width_m", "slope_rise_over_run", "sigma_slope", "slope_ratio", "rise_m",
+    "start_x", "start_y", "end_x", "end_y",
+)  # fmt: skip
 # Columns of `with_inventory`, and their names in the table of road geometry.
 LANE_TITLES = {
     "lanes": "lanes",

@@ -415,16 +415,9 @@ def _bin(away_m: Floats, bins: int) -> np.ndarray:
 
 
 POLE_COLUMNS = [
-    "x",
-    "y",
-    "score",
-    "sigma_major_m",
-    "sigma_minor_m",
-    "sigma_azimuth_deg",
-    "condition",
-    "kept",
+    "x", "y", "score", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition", "kept",
     "reason",
-]
+]  # fmt: skip
 
 
 def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:

@@ -21,18 +21,9 @@ from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
 SIGHTING_COLUMNS = (
-    "image",
-    "route",
-    "sequence",
-    "kind",
-    "x",
-    "y",
-    "bearing_grid_deg",
-    "depth_m",
-    "sigma_bearing_deg",
-    "sigma_depth_m",
-    "kept",
-)
+    "image", "route", "sequence", "kind", "x", "y", "bearing_grid_deg", "depth_m",
+    "sigma_bearing_deg", "sigma_depth_m", "kept",
+)  # fmt: skip
 # Columns of the errors that near images share, and of a ray's own, by their name in `Rays`.
 SHARED_COLUMNS = {
     "drift_m": ("drift_east_m", "drift_north_m"),
@@ -41,24 +32,9 @@ SHARED_COLUMNS = {
     "own_deg": (OWN_COLUMN,),
 }
 POLE_COLUMNS = (
-    "id",
-    "kind",
-    "x",
-    "y",
-    "z",
-    "latitude",
-    "longitude",
-    "score",
-    "sigma_major_m",
-    "sigma_minor_m",
-    "sigma_azimuth_deg",
-    "condition",
-    "evidence",
-    "images",
-    "routes",
-    "kept",
-    "reason",
-)
+    "id", "kind", "x", "y", "z", "latitude", "longitude", "score", "sigma_major_m", "sigma_minor_m",
+    "sigma_azimuth_deg", "condition", "evidence", "images", "routes", "kept", "reason",
+)  # fmt: skip
 # Log evidence that a panel needs beyond what a pole needs: its distance is known to half of it, so
 # that rays to walls meet as well. With a pole's 3, signs of two generated roads have 8.4 to 32,
 # other things 4.2, 6.6 and (a parked car) 37; signs of two roads with which it was not chosen 8.3
@@ -217,14 +193,9 @@ def nearest_poles(poles: pd.DataFrame, decisions: pd.DataFrame) -> Ints:
 # Columns of poles; NaN where the cloud does not tell, and where the kind has no such thing. Heights
 # by images are not among them: frames and wires cut poles, which were 2 to 5 m too low.
 SHAPE_COLUMNS = (
-    "height_m",
-    "lean_deg",
-    "sigma_lean_deg",
-    "lean_azimuth_deg",
-    "arm_m",
-    "arm_sides",
+    "height_m", "lean_deg", "sigma_lean_deg", "lean_azimuth_deg", "arm_m", "arm_sides",
     "crown_width_m",
-)
+)  # fmt: skip
 # What the cloud shows of a pole (`cloud_shows`), where it does; of trees see `find_trunks`.
 COLUMN = "column"
 # A column of the cloud this near to a pole, and by twice the pole's own error, is the pole.
