@@ -24,6 +24,7 @@ from roadsight.io.records.tables import write_table
 from roadsight.scene.grids import Grid
 from roadsight.scene.profile import plan_spacing_m
 from roadsight.scene.terrain.ground_settings import ground_settings_for
+from roadsight.scene.terrain.registration import Registration
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
 from roadsight.stages.command import Command, tell
 
@@ -52,6 +53,7 @@ def build_dem(
     settings = ground_settings_for(spacing_m, asked)
     terrain = TerrainModel(bounds, max(asked.dem_cell_m, spacing_m))
     labels = []
+    registration = Registration()
     for points, mask in label_ground(
         lambda halo: (
             (core, stack_xyz(part).astype(np.float64))
@@ -61,6 +63,8 @@ def build_dem(
         settings,
     ):
         terrain.add(points[mask])
+        if doubts_path and "scan" in cloud.columns:
+            registration.add(points, mask, cloud.read(("scan",), [len(labels)])["scan"])
         labels.append(mask)
         log.info("tile %d of %d: %d points", len(labels), len(cloud.tiles), len(points))
     ground = np.concatenate(labels)
@@ -83,6 +87,7 @@ def build_dem(
             terrain.noise_m(),
             _agreement(cloud, ground, terrain.grid, heights_m),
         )
+        doubts += registration.doubts()
         used = settings.model_copy(update={"dem_cell_m": terrain.grid.cell_size_m}).model_dump()
         own = "pillar_width_m" if asked.method == "pillars" else "coarse_cell_m"
         names = own, "dem_cell_m"

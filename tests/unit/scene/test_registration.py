@@ -1,0 +1,72 @@
+"""Scans that lie apart: the distance told is the true one, and noise is no distance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roadsight.base.sections.scene import GroundFilter
+from roadsight.scene.terrain.ground import published_ground
+from roadsight.scene.terrain.registration import Registration
+
+SIDE_M, DENSITY_M2 = (60.0, 20.0), 40
+HEIGHTS = {
+    "flat": lambda x, y: 5.0 + 0 * x,
+    "sloping": lambda x, y: 5 + 0.08 * x - 0.03 * y,
+    "crowned": lambda x, y: 7 + 0.02 * x - 0.025 * abs(y - 10) + 0.12 * (abs(y - 10) > 6),
+    "hilly": lambda x, y: 9 + 1.5 * np.sin(x / 9) + np.cos(y / 7),
+}
+
+
+def two_scans(surface, shift_m, noise_m, seed, grass=False, density_m2=DENSITY_M2):
+    """Points of scans 3 and 7, the latter moved by (east, north, up) on ground with a kerb."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for moved in np.array([[0, 0, 0], shift_m]):
+        x, y = rng.uniform(0, SIDE_M, (int(density_m2 * SIDE_M[0] * SIDE_M[1]), 2)).T
+        z = HEIGHTS[surface](x - moved[0], y - moved[1]) + moved[2] + rng.normal(0, noise_m, len(x))
+        if grass:
+            z += np.where(y < 8, rng.gamma(1.5, 0.03, len(x)), 0)
+        parts.append(np.column_stack([x, y, z]))
+    return np.concatenate(parts), np.repeat([3, 7], len(parts[0]))
+
+
+def told(xyz_m, scan, tile_m=20.0):
+    """Doubts by their code."""
+    found = Registration()
+    for tile in np.unique(xyz_m[:, 0] // tile_m):
+        own = xyz_m[:, 0] // tile_m == tile
+        ground = published_ground(*xyz_m[own].T, GroundFilter(method="pillars"))
+        found.add(xyz_m[own], ground, scan[own])
+    return {doubt.code: doubt for doubt in found.doubts()}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+@pytest.mark.parametrize("grass", [False, True])
+@pytest.mark.parametrize("surface", HEIGHTS)
+def test_numbered_scans_apart(surface, grass, noise_m, seed):
+    for up_m in (0.0, 0.02, -0.05, 0.1):
+        doubts = told(*two_scans(surface, (0, 0, up_m), noise_m, seed, grass))
+        assert set(doubts) == ({"scans_apart"} if up_m else set())
+        if up_m:
+            high, low = (7, 3) if up_m > 0 else (3, 7)
+            assert doubts["scans_apart"].measured == pytest.approx(abs(up_m), abs=0.005)
+            assert f"scan {high} lies above scan {low} (" in doubts["scans_apart"].message
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_slopes_of_all_directions_tell_a_shift_to_the_side(seed):
+    hilly = told(*two_scans("hilly", (0.1, -0.06, 0.05), 0.01, seed))["scans_apart"]
+    assert hilly.measured == pytest.approx(0.05, abs=0.005)
+    assert "0.12 m beside it" in hilly.message or "0.11 m beside it" in hilly.message
+    flat = told(*two_scans("sloping", (0.1, -0.06, 0.05), 0.01, seed))["scans_apart"]
+    assert "beside" not in flat.message
+
+
+def test_no_ground_and_few_points_say_nothing():
+    xyz, scan = two_scans("flat", (0, 0, 0.1), 0.01, 1)
+    found = Registration()
+    found.add(xyz, np.zeros(len(xyz), bool), scan)
+    found.add(xyz[::5000], np.ones(len(xyz[::5000]), bool), scan[::5000])
+    assert found.doubts() == []
