@@ -70,3 +70,40 @@ def test_no_ground_and_few_points_say_nothing():
     found.add(xyz, np.zeros(len(xyz), bool), scan)
     found.add(xyz[::5000], np.ones(len(xyz[::5000]), bool), scan[::5000])
     assert found.doubts() == []
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("grass", [False, True])
+@pytest.mark.parametrize("surface", HEIGHTS)
+def test_layers_apart_without_numbers(surface, grass, seed):
+    """Noise of a fifth of the distance leaves two peaks, of less where a third is grass."""
+    for up_m, noise_m in [(0.02, 0.003), (0.05, 0.01), (-0.1, 0.01), (0.1, 0.015)]:
+        noise_m *= 0.7 if grass else 1  # noqa: PLW2901
+        xyz_m, scan = two_scans(surface, (0, 0, up_m), noise_m, seed, grass)
+        mixed = np.random.default_rng(seed).permutation(len(xyz_m))
+        for order in (slice(None), mixed):
+            doubts = told(xyz_m[order], 0 * scan)
+            assert set(doubts) == {"ground_doubled"}
+            assert doubts["ground_doubled"].measured == pytest.approx(abs(up_m), abs=0.005)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("noise_m", [0.0, 0.003, 0.01, 0.03])
+@pytest.mark.parametrize("grass", [False, True])
+@pytest.mark.parametrize("surface", HEIGHTS)
+def test_one_layer_is_not_two(surface, grass, noise_m, seed):
+    xyz_m, scan = two_scans(surface, (0, 0, 0), noise_m, seed, grass)
+    assert told(xyz_m, 0 * scan) == {}
+    xyz_m[:, 2] = xyz_m[:, 2].round(2)  # a file with steps of 1 cm
+    assert told(xyz_m, 0 * scan) == {}
+
+
+@pytest.mark.parametrize("density_m2", [3, 6, 12, 40])
+def test_kerbs_are_no_second_layer(density_m2, rng):
+    found = Registration()
+    for west in range(0, 600, 50):
+        x, y = rng.uniform(0, 50, (density_m2 * 2500, 2)).T
+        z = 5 + 0.12 * (x % 20 < 2.3) + 0.12 * (x % 20 > 10) + rng.normal(0, 0.004, len(x))
+        points = np.column_stack([x + west, y, z])
+        found.add(points, np.ones(len(x), bool), np.zeros(len(x), np.uint16))
+    assert found.lags.sum() > 15_000 and found.doubts() == []

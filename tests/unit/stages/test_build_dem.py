@@ -14,13 +14,13 @@ from roadsight.io.records.tables import read_table
 from roadsight.stages.scene import build_dem, ingest_cloud, profile_scene
 
 
-def run(folder, xyz, classes, *options):
+def run(folder, xyz, classes, *options, scan=0):
     """Doubts by their code, frame and exit status of a site made of points."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = xyz.T
-    cloud.classification = classes
+    cloud.classification, cloud.point_source_id = classes, np.full(len(xyz), scan)
     cloud.return_number = cloud.number_of_returns = np.ones(len(xyz), np.uint8)
     cloud.write(str(folder / "cloud.laz"))
     at = {name: str(folder / name) for name in ("cloud", "frame", "profile", "dem.tif", "ground")}
@@ -93,3 +93,15 @@ def test_published_pillars_that_are_raised_are_told(tmp_path, rng):
     ones = np.ones(len(xyz), np.uint8)
     doubts, _ = run(tmp_path, xyz, ones, "--method", "pillars")
     assert doubts["raised_pillar_width_m"]["measured"] == pytest.approx(2**-0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_scans_apart_are_told(tmp_path, plane_scene, numbered):
+    scene = plane_scene(side_m=30, density_m2=80, slope_x=0.05)
+    xyz, scan = scene.xyz_m, np.arange(len(scene.xyz_m)) % 2
+    xyz[:, 2] += 0.06 * scan
+    ones = np.ones(len(xyz), np.uint8)
+    doubts, _ = run(tmp_path, xyz, ones, scan=scan * numbered)
+    doubt = doubts["scans_apart" if numbered else "ground_doubled"]
+    assert doubt["severity"] == "doubt"
+    assert doubt["measured"] == pytest.approx(0.06, abs=0.005)

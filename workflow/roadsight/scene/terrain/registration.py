@@ -10,6 +10,7 @@ layer, and its place the distance.
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.doubts import Doubt
@@ -26,13 +27,27 @@ _FEWEST_BLOCKS = 8  # Whose spread tells how sure their median is.
 _NEXT_SCANS = 4  # Scans that each is compared with in a cell, by number: a turn and those after it.
 LEAST_APART_M = 0.015  # Scans 2 cm apart change 1.4 % of a sensor's beams.
 _SIGMAS = 3.0
+_LAG_POINTS = 20_000  # Of a tile whose differences of height are counted.
+_PAIRED_POINTS = 3  # In the small cell in which a point is paired.
+_WIDEST_STEP_M = 0.02  # Of heights in a file.
+_WIDTHS_MM = (3, 6, 12)  # Of the Gaussians that differences are smoothed with.
+# A peak so many sigmas above what is lower before it, and pairs in it: of sixteen clouds of
+# streets, towns and forests none reaches 3 sigmas. Four kerbs in 20 m hold up to 2.8 % of pairs.
+_SURE_SIGMAS = 5.0
+_LEAST_SHARE = 0.03
 _SURE_M = 0.02  # A horizontal shift counts where the slopes of the ground leave it so uncertain.
 
 
 class Registration:
-    """Heights of scans beside each other, gathered tile by tile."""
+    """Heights of scans beside each other, gathered tile by tile.
+
+    Attributes
+    ----------
+    lags : (300,) pairs of points beside each other by their difference of height, mm.
+    """
 
     def __init__(self) -> None:
+        self.lags = np.zeros(300)
         # Lower and higher number of two scans, block, second's height over the first's, slopes.
         self._pairs: list[Floats] = [np.empty((0, 6))]
         self._blocks = 0
@@ -54,41 +69,64 @@ class Registration:
         cell, ids = cell[near], np.unique(scan)
         row, column = np.divmod(cell, grid.columns)
         centre_x, centre_y = grid.centres(column, row)
+        # Places from the middle of their cell, heights from its lowest ground.
+        x, y, z = x[near] - centre_x, y[near] - centre_y, z[near] - lowest[cell]
+        wide = -(-grid.columns // _BLOCK_CELLS)
+        block = row // _BLOCK_CELLS * wide + column // _BLOCK_CELLS
         key = cell * len(ids) + np.searchsorted(ids, scan[near])
-        count = np.bincount(key, minlength=grid.rows * grid.columns * len(ids))
+        count = np.bincount(key)
         kept = np.flatnonzero(count >= _FEWEST_POINTS)
         if len(kept) == 0:
             return
-        z = z[near] - lowest[cell]
-
-        def mean(values: Floats) -> Floats:
-            return np.bincount(key, values, len(count))[kept] / count[kept]
-
-        height = mean(z)
-        variance = mean(z**2) - height**2
-        east, north = mean(x[near] - centre_x), mean(y[near] - centre_y)
-        cell, owner = kept // len(ids), kept % len(ids)
-        height += lowest[cell]
-        row, column = np.divmod(cell, grid.columns)
-        wide = -(-grid.columns // _BLOCK_CELLS)
-        block = row // _BLOCK_CELLS * wide + column // _BLOCK_CELLS
-        slope = _slopes(
+        means = [np.bincount(key, of)[kept] / count[kept] for of in (x, y, z, z**2)]
+        east, north, height, square = means
+        at, owner = kept // len(ids), kept % len(ids)
+        row, column = np.divmod(at, grid.columns)
+        of = row // _BLOCK_CELLS * wide + column // _BLOCK_CELLS
+        slopes = _slopes(
             np.column_stack([column + east, row + north]) * _CELL_M,
-            height,
-            block * len(ids) + owner,
-            block,
-        )[block]
-        flat = variance < _FLAT_M**2 + (slope**2).sum(axis=1) * _CELL_M**2 / 12
-        height -= east * slope[:, 0] + north * slope[:, 1]
-        cell, owner, block, height, slope = (
-            column[flat] for column in (cell, owner, block, height, slope)
+            height + lowest[at],
+            of * len(ids) + owner,
+            of,
+            int(block.max()) + 1,
         )
+        self._add_lags(x, y, z, cell, slopes[block])
+        steep = slopes[of]
+        flat = square - height**2 < _FLAT_M**2 + (steep**2).sum(axis=1) * _CELL_M**2 / 12
+        height -= east * steep[:, 0] + north * steep[:, 1]
+        at, owner, of, height, steep = (kind[flat] for kind in (at, owner, of, height, steep))
         for step in range(1, _NEXT_SCANS + 1):
-            one = np.flatnonzero(cell[step:] == cell[:-step])
+            one = np.flatnonzero(at[step:] == at[:-step])
             two = one + step
-            table = ids[owner[one]], ids[owner[two]], block[one] + self._blocks
-            self._pairs.append(np.column_stack([*table, height[two] - height[one], slope[one]]))
-        self._blocks += int(block.max(initial=0)) + 1
+            names = ids[owner[one]], ids[owner[two]], of[one] + self._blocks
+            self._pairs.append(np.column_stack([*names, height[two] - height[one], steep[one]]))
+        self._blocks += len(slopes)
+
+    def _add_lags(self, x: Floats, y: Floats, z: Floats, cell: Ints, slope: Floats) -> None:
+        """Count pairs of points beside each other by their difference of height.
+
+        Parameters
+        ----------
+        x, y, z : (n,) from the middle of their cell. cell : (n,). slope : (n, 2) of the ground.
+        """
+        own = np.flatnonzero(cell % -(-len(z) // _LAG_POINTS) == 0)
+        heights = np.unique(z[own].round(4))
+        if len(heights) < 2:
+            return
+        # Heights in steps have differences in steps, too: noise as wide as a step fills them.
+        step_m = min(float(np.median(np.diff(heights))), _WIDEST_STEP_M)
+        level = z[own] - x[own] * slope[own, 0] - y[own] * slope[own, 1]
+        level += np.random.default_rng(0).uniform(-0.5, 0.5, len(own)) * step_m
+        each = len(own) / len(np.unique(cell[own])) / _PAIRED_POINTS
+        parts = int(2 ** np.clip(np.floor(np.log2(max(each, 1)) / 2), 1, 4))
+        small = cell[own] * parts + np.floor((x[own] / _CELL_M + 0.5) * parts).astype(np.int64)
+        small = small * parts + np.floor((y[own] / _CELL_M + 0.5) * parts).astype(np.int64)
+        order = np.argsort(small, kind="stable")
+        _, start, count = np.unique(small[order], return_index=True, return_counts=True)
+        half = np.repeat(count // 2, count)
+        first = np.flatnonzero(np.arange(len(own)) - np.repeat(start, count) < half)
+        lag_m = np.abs(level[order[first]] - level[order[first + half[first]]])
+        self.lags += np.histogram(lag_m, len(self.lags), (0, 1e-3 * len(self.lags)))[0]
 
     def doubts(self) -> list[Doubt]:
         """A doubt that names the two scans that lie farthest apart; none where scans agree."""
@@ -103,7 +141,7 @@ class Registration:
         sure = (count >= _FEWEST_BLOCKS) & (np.abs(middle[:, 3]) > _SIGMAS * sigma_m)
         sure &= np.abs(middle[:, 3]) > LEAST_APART_M
         if not sure.any():
-            return []
+            return self._second_layer()
         worst = int(np.argmax(np.where(sure, np.abs(middle[:, 3]), 0)))
         low, high = (str(int(name)) for name in middle[worst, :2])
         apart_m, text = float(middle[worst, 3]), ""
@@ -118,6 +156,28 @@ class Registration:
             " early or pass between; register the scans again, or give the cloud of one"
         )
         return [Doubt("scans_apart", "doubt", told, round(abs(apart_m), 3), LEAST_APART_M)]
+
+    def _second_layer(self) -> list[Doubt]:
+        """A doubt where points beside each other differ by a height more often than by less."""
+        found = _SURE_SIGMAS, 0.0
+        for width in _WIDTHS_MM:
+            density = ndimage.gaussian_filter1d(self.lags, width)
+            least = np.minimum.accumulate(density)
+            above = density - least
+            above[: int(max(1e3 * LEAST_APART_M, 2 * width))] = 0
+            peak = int(np.argmax(above))
+            # Counts vary by their square root; a Gaussian averages over 2 sqrt(pi) widths.
+            noise = np.sqrt((density[peak] + least[peak]) / (2 * np.sqrt(np.pi) * width))
+            if above.sum() > _LEAST_SHARE * density.sum():
+                core = np.where(above > 0.75 * above[peak], above, 0)
+                apart_mm = 0.5 + core @ np.arange(len(core)) / core.sum()
+                found = max(found, (above[peak] / noise, float(apart_mm) / 1e3))
+        text = (
+            "the ground lies in two layers (drives or epochs that were registered badly?), m apart:"
+            " sight lines end too early or pass between; register them again, or give one"
+        )
+        layers = Doubt("ground_doubled", "doubt", text, round(found[1], 3), LEAST_APART_M)
+        return [layers] if found[1] else []
 
 
 def _horizontal(blocks: Floats) -> Floats | None:
@@ -137,7 +197,7 @@ def _horizontal(blocks: Floats) -> Floats | None:
     return shift if sigma_m < _SURE_M and beside_m > least_m else None
 
 
-def _slopes(xy_m: Floats, height_m: Floats, group: Ints, block: Ints) -> Floats:
+def _slopes(xy_m: Floats, height_m: Floats, group: Ints, block: Ints, blocks: int) -> Floats:
     """Slopes (blocks, 2) east and north that the groups (scans) of each block have in common.
 
     Parameters
@@ -147,7 +207,7 @@ def _slopes(xy_m: Floats, height_m: Floats, group: Ints, block: Ints) -> Floats:
     count = np.maximum(np.bincount(group), 1)
     x, y, z = (axis - (np.bincount(group, axis) / count)[group] for axis in (*xy_m.T, height_m))
     xx, yy, xy, xz, yz = (
-        np.bincount(block, product) for product in (x * x, y * y, x * y, x * z, y * z)
+        np.bincount(block, product, blocks) for product in (x * x, y * y, x * y, x * z, y * z)
     )
     area = xx * yy - xy**2
     thin = area <= 1e-3 * (xx + yy) ** 2  # a row of cells tells no slope across it

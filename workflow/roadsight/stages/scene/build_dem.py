@@ -52,7 +52,7 @@ def build_dem(
     bounds = (west, south, east, north)
     settings = ground_settings_for(spacing_m, asked)
     terrain = TerrainModel(bounds, max(asked.dem_cell_m, spacing_m))
-    labels = []
+    labels: list[Bools] = []
     registration = Registration()
     for points, mask in label_ground(
         lambda halo: (
