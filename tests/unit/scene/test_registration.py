@@ -7,9 +7,9 @@ import pytest
 
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.terrain.ground import published_ground
-from roadsight.scene.terrain.registration import Registration
+from roadsight.scene.terrain.registration import Registration, file_borders
 
-SIDE_M, DENSITY_M2 = (60.0, 20.0), 40
+SIDE_M, DENSITY_M2 = (40.0, 20.0), 40
 HEIGHTS = {
     "flat": lambda x, y: 5.0 + 0 * x,
     "sloping": lambda x, y: 5 + 0.08 * x - 0.03 * y,
@@ -107,3 +107,44 @@ def test_kerbs_are_no_second_layer(density_m2, rng):
         points = np.column_stack([x + west, y, z])
         found.add(points, np.ones(len(x), bool), np.zeros(len(x), np.uint16))
     assert found.lags.sum() > 15_000 and found.doubts() == []
+
+
+def two_files(surface, step_m, noise_m, rng, kerb_m=None, density_m2=80):
+    """Doubts about files that meet at x = 30 m, where the eastern one is higher."""
+    x, y = rng.uniform(0, (50, 60), (density_m2 * 3000, 2)).T
+    z = HEIGHTS[surface](x, y) + rng.normal(0, noise_m, len(x)) + step_m * (x > 30)
+    if kerb_m is not None:
+        z += 0.12 * (x > 30 + kerb_m)
+    found = Registration([[0, 0, 29.98, 60], [30.01, 0, 50, 60]], ["a.laz", "b.laz"])
+    for tile in (0, 1):
+        own = x // 25 == tile
+        points = np.column_stack([x, y, z])[own]
+        found.add(points, np.ones(len(points), bool), np.zeros(len(points), np.uint16))
+    return found.doubts()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+@pytest.mark.parametrize("surface", HEIGHTS)
+def test_a_step_between_files(surface, noise_m, seed):
+    rng = np.random.default_rng(seed)
+    assert two_files(surface, 0.0, noise_m, rng) == []
+    for step_m in (0.02, -0.05, 0.1):
+        (doubt,) = two_files(surface, step_m, noise_m, rng)
+        assert doubt.code == "files_apart"
+        assert doubt.measured == pytest.approx(abs(step_m), abs=0.005)
+        assert doubt.message.startswith("b.laz lies above" if step_m > 0 else "a.laz lies above")
+
+
+@pytest.mark.parametrize("kerb_m", [-1.5, -0.7, 0.4, 1.3])
+def test_a_kerb_along_a_border_is_no_step(kerb_m, rng):
+    assert two_files("flat", 0.0, 0.01, rng, kerb_m) == []
+
+
+def test_borders_of_files():
+    boxes = np.array([[0, 0, 50, 50], [50.2, 10, 90, 60], [0, 50, 50, 80], [200, 0, 250, 50.0]])
+    assert sorted(map(tuple, file_borders(boxes).round(1).tolist())) == [
+        (0, 50.1, 10, 50, 0, 1),
+        (0, 50.1, 50, 60, 2, 1),
+        (1, 50, 0, 50, 0, 2),
+    ]

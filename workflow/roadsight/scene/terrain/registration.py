@@ -4,10 +4,12 @@ Where points tell their scan (``point_source_id``), heights of scans are compare
 ground that they share. Without, differences of heights of points beside each other tell: if both
 come of one layer, their density falls from zero on, whatever the layer's noise (differences of a
 unimodal law, Hodges and Lehmann 1954, doi:10.1214/aoms/1177728669). A second peak is a second
-layer, and its place the distance.
+layer, and its place the distance. Files that adjoin are compared across their border.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -27,6 +29,8 @@ _FEWEST_BLOCKS = 8  # Whose spread tells how sure their median is.
 _NEXT_SCANS = 4  # Scans that each is compared with in a cell, by number: a turn and those after it.
 LEAST_APART_M = 0.015  # Scans 2 cm apart change 1.4 % of a sensor's beams.
 _SIGMAS = 3.0
+_BESIDE_M = 2.0  # Ground so far from a border of two files is compared across it.
+_GAP_M = 1.0  # Files with less between them, or in common, adjoin.
 _LAG_POINTS = 20_000  # Of a tile whose differences of height are counted.
 _PAIRED_POINTS = 3  # In the small cell in which a point is paired.
 _WIDEST_STEP_M = 0.02  # Of heights in a file.
@@ -41,12 +45,19 @@ _SURE_M = 0.02  # A horizontal shift counts where the slopes of the ground leave
 class Registration:
     """Heights of scans beside each other, gathered tile by tile.
 
+    Parameters
+    ----------
+    boxes_m : west, south, east, north of each file, local metres. files : their names.
+
     Attributes
     ----------
     lags : (300,) pairs of points beside each other by their difference of height, mm.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, boxes_m: Sequence[Sequence[float]] = (), files: Sequence[str] = ()) -> None:
+        self._borders, self._files = file_borders(np.array(boxes_m).reshape(-1, 4)), files
+        # Border, distance east or north of it, place along it, height.
+        self._beside: list[Floats] = [np.empty((0, 4))]
         self.lags = np.zeros(300)
         # Lower and higher number of two scans, block, second's height over the first's, slopes.
         self._pairs: list[Floats] = [np.empty((0, 6))]
@@ -61,6 +72,8 @@ class Registration:
         """
         if not ground.any():
             return
+        if len(self._borders):
+            self._add_borders(xyz_m[ground])
         x, y, z = xyz_m.T
         grid = Grid.around(x, y, _CELL_M)
         cell = grid.flat(x, y)
@@ -128,34 +141,68 @@ class Registration:
         lag_m = np.abs(level[order[first]] - level[order[first + half[first]]])
         self.lags += np.histogram(lag_m, len(self.lags), (0, 1e-3 * len(self.lags)))[0]
 
+    def _add_borders(self, ground_m: Floats) -> None:
+        """Gather ground points (n, 3) beside borders of files, as means of cells along them."""
+        low, high = ground_m[:, :2].min(axis=0), ground_m[:, :2].max(axis=0)
+        for number, (axis, at_m, start_m, end_m) in enumerate(self._borders[:, :4]):
+            across, along = int(axis), 1 - int(axis)
+            if low[across] > at_m + _BESIDE_M or high[across] < at_m - _BESIDE_M:
+                continue
+            if low[along] > end_m or high[along] < start_m:
+                continue
+            off, v = ground_m[:, across] - at_m, ground_m[:, along]
+            near = (np.abs(off) < _BESIDE_M) & (v >= start_m) & (v < end_m)
+            off, v, z = off[near], v[near], ground_m[near, 2]
+            # Four columns of cells across the border, the cells of a row along it.
+            row = np.floor(v).astype(np.int64)
+            key = row * 4 + np.floor(off / _BESIDE_M * 2 + 2).astype(np.int64)
+            _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+            means = [np.bincount(index, of) / count for of in (off, v, z)]
+            self._beside.append(np.column_stack([np.full(len(count), number), *means]))
+
+    def _steps(self) -> Floats:
+        """Steps (n, 6) along borders of files, as pairs of scans have them."""
+        cells = np.concatenate(self._beside)
+        place = np.column_stack([cells[:, 0], cells[:, 2] // (_BLOCK_CELLS * _CELL_M)])
+        places, block = np.unique(place, axis=0, return_inverse=True)
+        block, size = block.ravel(), len(places)
+        off, z = cells[:, 1], cells[:, 3]
+        slopes = _slopes(cells[:, 1:3], z, block * 2 + (off > 0), block, size)
+        level = z - (slopes[block] * cells[:, 1:3]).sum(axis=1)
+        key = block * 4 + np.floor(off / _BESIDE_M * 2 + 2).astype(np.int64)
+        count = np.bincount(key, minlength=4 * size)
+        mean = np.bincount(key, level, 4 * size) / np.maximum(count, 1)
+        # A kerb beside the border bends what must be straight on either side of it.
+        far, left, right, other = mean.reshape(-1, 4).T
+        whole = (count.reshape(-1, 4) > 0).all(axis=1)
+        whole &= np.maximum(np.abs(left - far), np.abs(other - right)) < LEAST_APART_M
+        files = self._borders[places[:, 0].astype(np.int64), 4:]
+        step = (right + other - left - far) / 2
+        return np.column_stack([files, places[:, 1], step, slopes])[whole]
+
     def doubts(self) -> list[Doubt]:
-        """A doubt that names the two scans that lie farthest apart; none where scans agree."""
-        pairs = np.concatenate(self._pairs)
-        blocks, count = _medians(pairs, 3)
-        blocks = blocks[count >= _FEWEST_CELLS]
-        middle, count = _medians(blocks, 2)
-        far = blocks.copy()
-        number = np.repeat(np.arange(len(count)), count)
-        far[:, 3] = np.abs(blocks[:, 3] - middle[number, 3])
-        sigma_m = 1.2533 * 1.4826 * _medians(far, 2)[0][:, 3] / np.sqrt(count)
-        sure = (count >= _FEWEST_BLOCKS) & (np.abs(middle[:, 3]) > _SIGMAS * sigma_m)
-        sure &= np.abs(middle[:, 3]) > LEAST_APART_M
-        if not sure.any():
-            return self._second_layer()
-        worst = int(np.argmax(np.where(sure, np.abs(middle[:, 3]), 0)))
-        low, high = (str(int(name)) for name in middle[worst, :2])
-        apart_m, text = float(middle[worst, 3]), ""
-        own = blocks[number == worst]
-        shift = _horizontal(own)
-        if shift is not None:
-            apart_m, text = float(shift[0]), f" and {np.hypot(*shift[1:]):.2f} m beside it"
-        if apart_m < 0:
-            low, high = high, low
-        told = (
-            f"scan {high} lies above scan {low}{text} (point_source_id), m: sight lines end too"
-            " early or pass between; register the scans again, or give the cloud of one"
-        )
-        return [Doubt("scans_apart", "doubt", told, round(abs(apart_m), 3), LEAST_APART_M)]
+        """Doubts about the scans and files that lie farthest apart; none where all agree."""
+        blocks, count = _medians(np.concatenate(self._pairs), 3)
+        scans = _farthest(blocks[count >= _FEWEST_CELLS])
+        found = [] if scans is not None else self._second_layer()
+        why = "m: sight lines end too early or pass between; register them again"
+        if scans is not None:
+            shift, text = _horizontal(scans), ""
+            apart_m = float(np.median(scans[:, 3]))
+            if shift is not None:
+                apart_m, text = float(shift[0]), f" and {np.hypot(*shift[1:]):.2f} m beside it"
+            low, high = scans[0, :2].astype(int)[:: 1 if apart_m > 0 else -1]
+            told = f"scan {high} lies above scan {low}{text} (point_source_id), {why}, or give one"
+            apart_m = round(abs(apart_m), 3)
+            found.append(Doubt("scans_apart", "doubt", told, apart_m, LEAST_APART_M))
+        files = _farthest(self._steps()) if len(self._beside) > 1 else None
+        if files is not None:
+            step_m = float(np.median(files[:, 3]))
+            low, high = files[0, :2].astype(int)[:: 1 if step_m > 0 else -1]
+            told = f"{self._files[high]} lies above {self._files[low]} along their border, {why}"
+            step_m = round(abs(step_m), 3)
+            found.append(Doubt("files_apart", "doubt", told, step_m, LEAST_APART_M))
+        return found
 
     def _second_layer(self) -> list[Doubt]:
         """A doubt where points beside each other differ by a height more often than by less."""
@@ -178,6 +225,49 @@ class Registration:
         )
         layers = Doubt("ground_doubled", "doubt", text, round(found[1], 3), LEAST_APART_M)
         return [layers] if found[1] else []
+
+
+def file_borders(boxes_m: Floats) -> Floats:
+    """Borders (k, 6) of files that adjoin: axis across it, place, start, end, the two files.
+
+    Parameters
+    ----------
+    boxes_m : (n, 4) west, south, east, north of each file, local metres.
+    """
+    found = [np.empty((0, 6))]
+    for axis in (0, 1):
+        low, high = boxes_m[:, axis], boxes_m[:, axis + 2]
+        start, end = (
+            bound(boxes_m[:, None, side], boxes_m[None, :, side])
+            for bound, side in ((np.maximum, 1 - axis), (np.minimum, 3 - axis))
+        )
+        met = (np.abs(high[:, None] - low[None]) < _GAP_M) & (end - start > _BESIDE_M)
+        one, two = np.nonzero(met & ~np.eye(len(low), dtype=bool))
+        at_m = (high[one] + low[two]) / 2
+        axes = np.full(len(one), axis)
+        found.append(np.column_stack([axes, at_m, start[one, two], end[one, two], one, two]))
+    return np.concatenate(found)
+
+
+def _farthest(blocks: Floats) -> Floats | None:
+    """Blocks of the two scans or files that lie farthest apart; None where all agree.
+
+    Parameters
+    ----------
+    blocks : (n, 6), see `Registration`.
+    """
+    middle, count = _medians(blocks, 2)
+    blocks = blocks[np.lexsort((blocks[:, 1], blocks[:, 0]))]
+    number = np.repeat(np.arange(len(count)), count)
+    far = blocks.copy()
+    far[:, 3] = np.abs(blocks[:, 3] - middle[number, 3])
+    apart_m = np.abs(middle[:, 3])
+    # Standard error of a median.
+    sigma_m = 1.2533 * 1.4826 * _medians(far, 2)[0][:, 3] / np.sqrt(count)
+    sure = (count >= _FEWEST_BLOCKS) & (apart_m > np.maximum(_SIGMAS * sigma_m, LEAST_APART_M))
+    if not sure.any():
+        return None
+    return blocks[number == np.argmax(np.where(sure, apart_m, 0))]
 
 
 def _horizontal(blocks: Floats) -> Floats | None:

@@ -44,7 +44,8 @@ def build_dem(
 ) -> None:
     """Label the ground and write the terrain model."""
     cloud = CloudTiles(cloud_path)
-    frame = Frame.from_dict(read_json(frame_path))
+    about = read_json(frame_path)
+    frame = Frame.from_dict(about)
     spacing_m = plan_spacing_m(read_json(profile)["density_per_m2"]["median"])
     corners = np.array([tile.bounds_m for tile in cloud.tiles])
     west, south = corners[:, :2].min(axis=0).tolist()
@@ -53,7 +54,8 @@ def build_dem(
     settings = ground_settings_for(spacing_m, asked)
     terrain = TerrainModel(bounds, max(asked.dem_cell_m, spacing_m))
     labels: list[Bools] = []
-    registration = Registration()
+    files = [Path(name).name for name in about["inputs"]]
+    registration = Registration(about["input_boxes_m"], files)
     for points, mask in label_ground(
         lambda halo: (
             (core, stack_xyz(part).astype(np.float64))
