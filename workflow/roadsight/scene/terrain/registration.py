@@ -136,9 +136,10 @@ class Registration:
         small = small * parts + np.floor((y[own] / _CELL_M + 0.5) * parts).astype(np.int64)
         order = np.argsort(small, kind="stable")
         _, start, count = np.unique(small[order], return_index=True, return_counts=True)
-        half = np.repeat(count // 2, count)
-        first = np.flatnonzero(np.arange(len(own)) - np.repeat(start, count) < half)
-        lag_m = np.abs(level[order[first]] - level[order[first + half[first]]])
+        # The first half of a cell's points with its second half: drives come one after the other.
+        first = np.flatnonzero(np.arange(len(own)) < np.repeat(start + count // 2, count))
+        second = first + np.repeat((count + 1) // 2, count)[first]
+        lag_m = np.abs(level[order[first]] - level[order[second]])
         self.lags += np.histogram(lag_m, len(self.lags), (0, 1e-3 * len(self.lags)))[0]
 
     def _add_borders(self, ground_m: Floats) -> None:
