@@ -3,7 +3,7 @@
 Where points tell their scan (``point_source_id``), heights of scans are compared on the cells of
 ground that they share. Without, differences of heights of points beside each other tell: if both
 come of one layer, their density falls from zero on, whatever the layer's noise (differences of a
-unimodal law, Hodges and Lehmann 1954, doi:10.1214/aoms/1177728669). A second peak is a second
+unimodal law: Hodges and Lehmann 1954, Matching in paired comparisons). A second peak is a second
 layer, and its place the distance. Files that adjoin are compared across their border.
 """
 
@@ -35,8 +35,8 @@ _LAG_POINTS = 20_000  # Of a tile whose differences of height are counted.
 _PAIRED_POINTS = 3  # In the small cell in which a point is paired.
 _WIDEST_STEP_M = 0.02  # Of heights in a file.
 _WIDTHS_MM = (3, 6, 12)  # Of the Gaussians that differences are smoothed with.
-# A peak so many sigmas above what is lower before it, and pairs in it: of sixteen clouds of
-# streets, towns and forests none reaches 3 sigmas. Four kerbs in 20 m hold up to 2.8 % of pairs.
+# A peak so many sigmas above what is lower before it, and pairs in it: of ten clouds of streets
+# and towns none reaches 3 sigmas. Four kerbs in 20 m hold up to 2.8 % of the pairs.
 _SURE_SIGMAS = 5.0
 _LEAST_SHARE = 0.03
 _SURE_M = 0.02  # A horizontal shift counts where the slopes of the ground leave it so uncertain.
@@ -162,7 +162,7 @@ class Registration:
             self._beside.append(np.column_stack([np.full(len(count), number), *means]))
 
     def _steps(self) -> Floats:
-        """Steps (n, 6) along borders of files, as pairs of scans have them."""
+        """Steps (n, 6) along borders of files, with the columns that pairs of scans have."""
         cells = np.concatenate(self._beside)
         place = np.column_stack([cells[:, 0], cells[:, 2] // (_BLOCK_CELLS * _CELL_M)])
         places, block = np.unique(place, axis=0, return_inverse=True)
