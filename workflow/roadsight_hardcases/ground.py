@@ -15,6 +15,8 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster, write_raster
 from roadsight.scene.grids import Grid
 from roadsight.scene.profile import mean_spacing_m
+from roadsight.scene.terrain.registration import Registration
+from roadsight.scene.terrain.terrain import TerrainModel
 from roadsight.scene.traffic import Columns, is_traffic
 from roadsight.scene.whole import ground_of
 from roadsight_hardcases.case import Errors, hard_case
@@ -95,6 +97,19 @@ def heights_beside_unknown_cells(rng: np.random.Generator) -> Errors:
     # Where all cells around are known, a height must be given.
     given = (unknown == 0) | np.isfinite(ours)
     return np.abs(naive - true)[given].max(), np.abs(ours - true)[given].max()
+
+
+@hard_case("build_dem", bound=0.005, unit="m")
+def drives_6_cm_apart(rng: np.random.Generator) -> Errors:
+    """Of two drives that do not fit, the spread of the ground says neither that nor how far."""
+    xyz, apart_m = _street(rng), 0.06
+    xyz[rng.random(len(xyz)) < 0.4, 2] += apart_m
+    ground = _ground(xyz)
+    layer, layers = TerrainModel((0, 0, 30, 30), 0.5), Registration()
+    layer.add(xyz[ground])
+    layers.add(xyz, ground, np.zeros(len(xyz), np.int64))
+    told_m = sum(float(doubt.measured or 0) for doubt in layers.doubts())
+    return abs(layer.noise_m() - apart_m), abs(told_m - apart_m)
 
 
 @hard_case("profile_scene", bound=0.1, unit="share of the spacing")

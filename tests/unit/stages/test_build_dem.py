@@ -7,23 +7,29 @@ import pytest
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.tables import read_table
+from roadsight.stages.evidence import summarise_site
 from roadsight.stages.scene import build_dem, ingest_cloud, profile_scene
 
 
-def run(folder, xyz, classes, *options):
-    """Doubts by their code, frame and exit status of a site made of points."""
+def run(folder, xyz, classes, *options, scan=0, east_of=np.inf):
+    """Doubts by their code, frame and exit status of a site of points, in one file or two."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = xyz.T
-    cloud.classification = classes
-    cloud.return_number = cloud.number_of_returns = np.ones(len(xyz), np.uint8)
-    cloud.write(str(folder / "cloud.laz"))
+    clouds, east = [], xyz[:, 0] > east_of
+    for name, own in (("cloud.laz", ~east), ("east.laz", east)):
+        if own.any():
+            cloud = laspy.LasData(header)
+            cloud.x, cloud.y, cloud.z = xyz[own].T
+            cloud.classification = classes[own]
+            cloud.point_source_id = np.broadcast_to(scan, len(xyz))[own]
+            cloud.return_number = cloud.number_of_returns = np.ones(own.sum(), np.uint8)
+            cloud.write(str(folder / name))
+            clouds.append(str(folder / name))
     at = {name: str(folder / name) for name in ("cloud", "frame", "profile", "dem.tif", "ground")}
     both = ["--cloud", at["cloud"], "--frame", at["frame"]]
     site = ["--site", "here"]
     local = ["--crs", "local", "--units", "metre", "--vertical-units", "metre"]
-    assert ingest_cloud.main([*site, *local, "--clouds", str(folder / "cloud.laz"), *both]) == 0
+    assert ingest_cloud.main([*site, *local, "--clouds", *clouds, *both]) == 0
     assert profile_scene.main([*both, "--out", at["profile"]]) == 0
     outputs = ["--dem", at["dem.tif"], "--ground", at["ground"]]
     told = ["--doubts", str(folder / "doubts.json")]
@@ -89,3 +95,25 @@ def test_published_pillars_that_are_raised_are_told(tmp_path, rng):
     ones = np.ones(len(xyz), np.uint8)
     doubts, _ = run(tmp_path, xyz, ones, "--method", "pillars")
     assert doubts["raised_pillar_width_m"]["measured"] == pytest.approx(2**-0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("code", ["scans_apart", "ground_doubled", "files_apart"])
+def test_scans_apart_reach_the_summary(tmp_path, plane_scene, code):
+    scene = plane_scene(side_m=50, density_m2=60, slope_x=0.05)
+    xyz, scan = scene.xyz_m, np.arange(len(scene.xyz_m)) % 2
+    xyz[:, 2] += 0.06 * (xyz[:, 0] > 20 if code == "files_apart" else scan)
+    ones = np.ones(len(xyz), np.uint8)
+    east_of = 20 if code == "files_apart" else np.inf
+    run(tmp_path, xyz, ones, scan=scan * (code == "scans_apart"), east_of=east_of)
+    (tmp_path / "effects").write_text("[]")
+    names = ("frame", "profile", "effects", "out", "run")
+    paths = [part for name in names for part in (f"--{name}", str(tmp_path / name))]
+    about = ["--site", "here", "--seed", "7", "--settings", "{}"]
+    assert summarise_site.main([*about, *paths, "--doubts", str(tmp_path / "doubts.json")]) == 0
+    told = {
+        doubt["code"]: doubt for doubt in json.loads((tmp_path / "out").read_text())["warnings"]
+    }
+    assert told.keys() & {"scans_apart", "ground_doubled", "files_apart"} == {code}
+    assert told[code]["severity"] == "doubt"
+    assert told[code]["measured"] == pytest.approx(0.06, abs=0.005)
+    assert ("east.laz lies above cloud.laz" in told[code]["message"]) == (code == "files_apart")

@@ -55,7 +55,7 @@ def level_scans(xyz_m: Floats, scan: Ints) -> tuple[Floats, Floats]:
         for one in range(len(ids)):
             rows = used & (owner == one)
             if rows.sum() >= _FEWEST:
-                shifts[one] += _robust_plane(design[rows], off[rows])
+                shifts[one] += robust_plane(design[rows], off[rows])
         shifts -= shifts.mean(axis=0)
     points = np.column_stack([np.ones(len(xyz_m)), xyz_m[:, :2] - middle[:2]])
     return xyz_m[:, 2] - (points * shifts[number]).sum(axis=1), shifts
@@ -71,7 +71,7 @@ def _cell_means(key: Ints, xyz_m: Floats) -> tuple[Ints, Floats, Floats, Ints]:
     return distinct, means, np.sqrt(np.maximum(square - means[:, 2] ** 2, 0.0)), count
 
 
-def _robust_plane(design: Floats, height_m: Floats) -> Floats:
+def robust_plane(design: Floats, height_m: Floats) -> Floats:
     """Plane (3,) by reweighted least squares with Cauchy weights at twice the spread."""
     weight: Floats = np.ones(len(height_m))
     plane: Floats = np.zeros(3)

@@ -24,6 +24,7 @@ from roadsight.io.records.tables import write_table
 from roadsight.scene.grids import Grid
 from roadsight.scene.profile import plan_spacing_m
 from roadsight.scene.terrain.ground_settings import ground_settings_for
+from roadsight.scene.terrain.registration import Registration
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
 from roadsight.stages.command import Command, tell
 
@@ -43,7 +44,8 @@ def build_dem(
 ) -> None:
     """Label the ground and write the terrain model."""
     cloud = CloudTiles(cloud_path)
-    frame = Frame.from_dict(read_json(frame_path))
+    about = read_json(frame_path)
+    frame = Frame.from_dict(about)
     spacing_m = plan_spacing_m(read_json(profile)["density_per_m2"]["median"])
     corners = np.array([tile.bounds_m for tile in cloud.tiles])
     west, south = corners[:, :2].min(axis=0).tolist()
@@ -51,7 +53,9 @@ def build_dem(
     bounds = (west, south, east, north)
     settings = ground_settings_for(spacing_m, asked)
     terrain = TerrainModel(bounds, max(asked.dem_cell_m, spacing_m))
-    labels = []
+    labels: list[Bools] = []
+    files = [Path(name).name for name in about["inputs"]]
+    registration = Registration(about["input_boxes_m"], files)
     for points, mask in label_ground(
         lambda halo: (
             (core, stack_xyz(part).astype(np.float64))
@@ -61,6 +65,8 @@ def build_dem(
         settings,
     ):
         terrain.add(points[mask])
+        if doubts_path and "scan" in cloud.columns:
+            registration.add(points, mask, cloud.read(("scan",), [len(labels)])["scan"])
         labels.append(mask)
         log.info("tile %d of %d: %d points", len(labels), len(cloud.tiles), len(points))
     ground = np.concatenate(labels)
@@ -83,6 +89,7 @@ def build_dem(
             terrain.noise_m(),
             _agreement(cloud, ground, terrain.grid, heights_m),
         )
+        doubts += registration.doubts()
         used = settings.model_copy(update={"dem_cell_m": terrain.grid.cell_size_m}).model_dump()
         own = "pillar_width_m" if asked.method == "pillars" else "coarse_cell_m"
         names = own, "dem_cell_m"

@@ -198,6 +198,10 @@ def describe(
         "location": None if site.location is None else asdict(site.location),
         "notes": notes_of(site, scans),
         "inputs": {str(scan.header.path): scan.sha256 for scan in scans},
+        "input_boxes_m": [
+            site.frame.to_local(np.stack([scan.lower[:2], scan.upper[:2]])).ravel().tolist()
+            for scan in scans
+        ],
         "dropped": {
             "withheld": sum(scan.withheld for scan in scans),
             "noise": sum(scan.noise for scan in scans),
