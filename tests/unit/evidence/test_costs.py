@@ -25,6 +25,7 @@ from roadsight.evidence.costs import (
 )
 from roadsight.evidence.estimate import (
     SHIPPED,
+    CostTable,
     StepEstimate,
     _wall_h,
     estimate,
@@ -106,15 +107,18 @@ def test_wall_time_bounds_a_simulated_schedule(jobs, cores):
     assert _wall_h(steps, 1, 0.0) == pytest.approx(sum(n * s for n, s in jobs) / 3600)
 
 
-COSTS = {name: StepCost(Line(1.0, 0.01), Line(100.0, 2.0), 3) for name in STEPS}
-BYTES = {kind: Line(0.0, 1000.0) for kind in STORED}
-DAG = Line(3.0, 0.01), Line(150.0, 0.1)
+TABLE = CostTable(
+    {name: StepCost(Line(1.0, 0.01), Line(100.0, 2.0), 3) for name in STEPS},
+    {kind: Line(0.0, 1000.0) for kind in STORED},
+    (Line(3.0, 0.01), Line(150.0, 0.1)),
+    1.0,
+)
 
 
 def test_runs_add_up():
     amounts = Amounts(5, 900, 2, 4000, 3, 700, shards=4, rounds=2)
-    one = estimate(COSTS, BYTES, DAG, amounts, ("placement", "poles"), 1, 8)
-    many = estimate(COSTS, BYTES, DAG, amounts, ("placement", "poles"), 10, 8)
+    one = estimate(TABLE, amounts, ("placement", "poles"), 1, 8)
+    many = estimate(TABLE, amounts, ("placement", "poles"), 10, 8)
     assert many.core_h == pytest.approx(10 * one.core_h)
     assert many.jobs == 10 * one.jobs
     assert many.storage_gib == pytest.approx(10 * one.storage_gib)
@@ -125,7 +129,7 @@ def test_runs_add_up():
     assert by_step["render_depth_maps"].jobs == 4 * 2 * 2
     assert by_step["solve_cover"].jobs == 3
     assert by_step["segment_images"].jobs == 4
-    poles = estimate(COSTS, BYTES, DAG, amounts, ("poles",), 1, 8)
+    poles = estimate(TABLE, amounts, ("poles",), 1, 8)
     assert {s.step for s in poles.steps} & {"solve_cover", "render_depth_maps"} == set()
     assert poles.core_h < one.core_h
 

@@ -69,9 +69,8 @@ def estimate(
         raise InputError(
             "is no job", where="jobs", found=wrong[0] if wrong else "none", allowed=", ".join(JOBS)
         )
-    table = read_costs(costs)
     runs, a_run = runs_of(miles, run_miles, amounts)
-    return estimate_runs(table.steps, table.stored, table.dag, a_run, asked, runs, cores)
+    return estimate_runs(read_costs(costs), a_run, asked, runs, cores)
 
 
 def runs_of(miles: float, run_miles: float, amounts: dict[str, float]) -> tuple[int, Amounts]:

@@ -94,9 +94,8 @@ def run(
         site = load_site(name, load_config(read_yaml("config/config.yaml")))
         jobs = asked.job or [job for job in site.site.jobs if job != "scene"]
         wanted.append((site.site.site, replace(_amounts(site), **stated), jobs, 1))
-    common = table.steps, table.stored, table.dag
     found = [
-        (name, amounts, estimate(*common, amounts, tuple(jobs), runs, asked.cores))
+        (name, amounts, estimate(table, amounts, tuple(jobs), runs, asked.cores))
         for name, amounts, jobs, runs in wanted
     ]
     factor = table.factor if math.isfinite(table.factor) else None

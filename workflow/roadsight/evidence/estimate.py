@@ -75,36 +75,30 @@ class Estimate:
 
 
 def estimate(
-    costs: dict[str, StepCost],
-    stored: dict[str, Line],
-    dag: tuple[Line, Line],
-    amounts: Amounts,
-    jobs: tuple[str, ...],
-    runs: int,
-    cores: int,
+    table: CostTable, amounts: Amounts, jobs: tuple[str, ...], runs: int, cores: int
 ) -> Estimate:
     """Estimate several equal runs.
 
     Parameters
     ----------
-    costs : of each step. stored : bytes of each kind of result. dag : seconds and MiB of Snakemake
-        by the number of jobs. amounts : of one run. jobs : "placement", "poles" or both.
+    amounts : of one run. jobs : "placement", "poles" or both.
     """
     wanted = {"both", *jobs}
     steps = []
     for name, step in STEPS.items():
         per_run = amounts.jobs(step.split)
-        if step.job in wanted and name in costs and per_run:
+        if step.job in wanted and name in table.steps and per_run:
             units, number = amounts.units(step.driver) / per_run, per_run * runs
-            job_s, job_mib = costs[name].cpu_s.at(units), costs[name].peak_mib.at(units)
+            cost = table.steps[name]
+            job_s, job_mib = cost.cpu_s.at(units), cost.peak_mib.at(units)
             steps.append(StepEstimate(name, number, number * job_s / 3600, job_s, job_mib))
     a_run = sum(one.jobs for one in steps) // runs
     gib = sum(
         line.at(amounts.units(STORED[kind].driver))
-        for kind, line in stored.items()
+        for kind, line in table.stored.items()
         if STORED[kind].job in wanted
     )
-    dag_s, dag_mib = (line.at(a_run) for line in dag)
+    dag_s, dag_mib = (line.at(a_run) for line in table.dag)
     hours = _wall_h(steps, cores, dag_s)
     return Estimate(steps, runs, cores, hours, gib * runs / 2**30, a_run, dag_s, dag_mib)
 
