@@ -137,6 +137,15 @@ def beams(step_deg=0.352, low_deg=-30.0, high_deg=12.0):
     return np.column_stack([np.cos(az) * np.cos(el), np.sin(az) * np.cos(el), np.sin(el)])
 
 
+def feet_on_ground(scene):
+    """Places (n, 3) 1 m apart on the ground that nothing stands on."""
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(-16.0, 17), np.arange(3.0, 28)))
+    above = np.column_stack([x, y, np.full(len(x), 50.0)])
+    down_m, which, _ = cast(scene, above, np.tile([0.0, 0.0, -1.0], (len(x), 1)))
+    free = (which >= 0) & ~np.array([one.solid for one in scene])[which]
+    return np.column_stack([x, y, 50 - down_m])[free]
+
+
 @dataclass(frozen=True)
 class Shares:
     """Of the beams: passing the solid that they meet, stopped before anything, through ground."""

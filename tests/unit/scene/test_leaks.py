@@ -6,9 +6,21 @@ import numpy as np
 import pytest
 
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_planes import sum_moments
-from tests.helpers.solid_scenes import EYE, SCENES, Shares, beams, cast, sampled, shares
+from tests.helpers.solid_scenes import (
+    EYE,
+    SCENES,
+    Shares,
+    beams,
+    cast,
+    feet_on_ground,
+    sampled,
+    shares,
+)
 
 WAYS = beams()
 # Walls that face the ground a strip sees at a slant have a fifth of its points. Where these are
@@ -79,3 +91,40 @@ def test_exact_casts_meet_the_front_and_leave_behind():
     assert which[0] == 1
     assert first[0] == pytest.approx(np.hypot(10, 4.5))
     assert left[0] == pytest.approx(np.hypot(10, 4.5) * 10.6 / 10)
+
+
+SENSOR = Sensor.model_validate(
+    {
+        **{"elevation_min_deg": -40, "elevation_max_deg": -2, "channels": 108, "range_m": 120},
+        **{"azimuth_min_deg": 40, "azimuth_max_deg": 138.56, "azimuth_step_deg": 0.352},
+    }
+)
+PLACES = np.array([[0.0, 0.0, 5.0], [-6.0, 1.0, 3.5], [5.0, 2.0, 7.0]])
+
+
+@pytest.mark.parametrize(
+    ("how", "per_m2", "most_false"),
+    [("random", 100, 1e-4), ("lines", 25, 1e-4), ("random", 12, 1e-4), ("strips", 50, 5e-4)],
+)
+def test_what_is_said_to_be_seen_is_seen(how, per_m2, most_false):
+    """Targets around solids: as claimed on a cloud, and in truth, for sensors at three places."""
+    pairs = claimed_falsely = in_sight = lost = 0
+    for scene in SCENES.values():
+        feet_m = feet_on_ground(scene)
+        xyz = sampled(scene, per_m2, how, np.random.default_rng(5))
+        lidar = SurfelLidar(build_surfels(sum_moments(xyz, 0.1)))
+        for place in PLACES:
+            ways = beam_directions(SENSOR, 0.0).reshape(-1, 3).astype(float)
+            exact_m = cast(scene, np.tile(place, (len(ways), 1)), ways)[0]
+            exact_m = np.where(exact_m < 120, exact_m, 0).reshape(SENSOR.shape).astype(np.float32)
+            claimed, truly = (
+                count_hits(depth_m, SENSOR, place, 0.0, feet_m) > MIN_BEAMS
+                for depth_m in (lidar.depth_map(SENSOR, place, 0.0), exact_m)
+            )
+            pairs += len(feet_m)
+            claimed_falsely += (claimed & ~truly).sum()
+            in_sight += truly.sum()
+            lost += (truly & ~claimed).sum()
+    assert pairs > 15_000
+    assert claimed_falsely <= most_false * pairs
+    assert lost <= (0.02 if per_m2 == 100 else 0.04) * in_sight
