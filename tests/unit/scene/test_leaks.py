@@ -23,9 +23,6 @@ from tests.helpers.solid_scenes import (
 )
 
 WAYS = beams()
-# Walls that face the ground a strip sees at a slant have a fifth of its points. Where these are
-# two to a metre of the wall, there are gaps: docs/decisions/106-surfaces-that-do-not-leak.md.
-THIN_STRIPS = {("van", 16), ("barrier on a slope", 16), ("barrier on a slope", 12)}
 
 
 def measured(name, per_m2, how, noise_m=0.01, seeds=1):
@@ -52,8 +49,10 @@ def test_no_solid_leaks(name, per_m2, how):
 @pytest.mark.parametrize("per_m2", [100, 25, 16, 12])
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "step"])
 def test_no_solid_leaks_below_an_aircraft(name, per_m2):
-    found = measured(name, per_m2, "strips")
-    assert found.leak <= (0.06 if (name, per_m2) in THIN_STRIPS else 0.02)
+    found = measured(name, per_m2, "strips", seeds=3)
+    # A face that strips see at a slant has a fifth of the ground's points: gaps open in a small one
+    # (docs/decisions/106-surfaces-that-do-not-leak.md).
+    assert found.leak <= (0.03 if (name, per_m2) == ("van", 16) else 0.02)
     assert found.ground <= 0.01
 
 
