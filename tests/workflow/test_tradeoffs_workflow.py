@@ -73,7 +73,8 @@ def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     assert same["value"].nunique() == 1
     plans = rows.loc["plan"]["value"]
     assert plans["one sensor", "plan_cost"] == 1.0 < plans["sees all", "plan_cost"]
-    assert plans["one sensor", "unseen"] > plans["sees all", "unseen"] == 0.0
+    # One target of 1,183 is hidden from all candidates.
+    assert plans["one sensor", "unseen"] > 0.01 > 0.002 > plans["sees all", "unseen"]
     failure = plans[:, "lost_to_a_failure"]
     assert failure["one sensor"] == pytest.approx(1 - plans["one sensor", "unseen"])
     assert 0.0 < failure["sees all"] < 1.0
