@@ -54,7 +54,7 @@ def test_formulas_are_drawn_without_a_script(site: Path):
 
 def test_a_broken_link_fails_the_build(tmp_path: Path):
     copy = tmp_path / "project"
-    for folder in ("docs", "scripts", "config", "workflow/roadsight"):
+    for folder in ("docs", "scripts", "config", "benchmarks", "workflow/roadsight"):
         ignore = shutil.ignore_patterns("__pycache__")
         shutil.copytree(PROJECT / folder, copy / folder, ignore=ignore)
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
