@@ -113,7 +113,8 @@ def _dense_patches(voxels: VoxelMoments) -> tuple[list[Patches], Ints, Bools]:
 
 
 # Planes of sparse points and of edges, by consensus of the nearest points. The limits were chosen
-# on two generated and three real streets, see docs/decisions/106-surfaces-that-do-not-leak.md.
+# on three generated highways and three real streets, see
+# docs/decisions/106-surfaces-that-do-not-leak.md.
 
 _NEIGHBOURS = 28  # points around a point that tell its plane
 _PAIRED = 12  # the nearest of them give planes to try: each two, with the point itself
@@ -132,6 +133,7 @@ _ALIKE = 0.9  # cosine between the normals of one surface
 _CONSISTENT = 0.6  # share of a plane's points that have to find it, too, where points are dense
 _AT_ONCE = 100_000  # points whose neighbours are looked up at one time: it bounds memory
 _ONE_POINT = np.array([1.0] + [0.0] * 9)  # moments of a point about itself
+_ASIDE = 1.2  # points so far aside, and half as far as ahead, lie on a side of a surfel, spacings
 # How far a surfel reaches to each side, in spacings. Where its surface goes on:
 _ON = 1.4
 _TO_NEXT = 0.75  # of the way to the next point of it, if that is more,
@@ -146,32 +148,34 @@ def _sparse_surfels(
 ) -> tuple[list[Surfels], Ints]:
     """Surfels of voxels whose nearest points agree on a plane, and keys of voxels without one.
 
-    A voxel that finds no plane among the finest voxels asks those of twice the edge.
+    Where the cloud is sparse, a voxel that finds none asks those of twice the edge, and so on.
     """
     parts: list[Surfels] = []
-    thin: list[Ints] = []
     spacing_m = _plan_spacing_m(voxels, pending)
     cells, left = unpack_keys(pending), np.arange(len(pending))
-    for level in range(len(_WIDEST)):
+    closed = np.zeros(len(pending), bool)
+    for level, widest in enumerate(_WIDEST):
+        if level:
+            voxels = coarsen(voxels)
+            left = left[~closed[left] & ~crowded[left]]
+            left = left[voxels.edge_m <= _COARSEST * spacing_m[left]]
         if not len(left) or len(voxels.keys) <= _SUPPORTERS:
             break
-        keys, member = np.unique(pack_cells(cells[left] >> level), return_inverse=True)
+        keys, first, member = np.unique(
+            pack_cells(cells[left] >> level), return_index=True, return_inverse=True
+        )
         rows = np.searchsorted(voxels.keys, keys)
         points = unpack_keys(voxels.keys) + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
         points *= voxels.edge_m
-        most_m = np.zeros(len(keys))
-        sparse = (level == 0) | (voxels.edge_m <= _COARSEST * spacing_m[left])
-        np.maximum.at(most_m, member, _WIDEST[level] * spacing_m[left] * sparse)
-        planes = _agreed_planes(points, rows, most_m)
-        found, alone = planes.found, np.zeros(len(left), bool)
+        # Voxels lie within one block, whose spacing all their parts have.
+        planes = _agreed_planes(points, rows, widest * spacing_m[left[first]])
+        found = planes.found
         if level == 0:
-            alone = crowded & ~_consistent(planes, rows, len(points))
-            found = found & ~alone
-        thin.append(pending[left[alone]])
+            found = found & (~crowded | _consistent(planes, rows, len(points)))
         rectangles = planes.centre_m, planes.normal, planes.half_m
         parts.append(_as_surfels(*(part[found] for part in rectangles)))
-        left, voxels = left[~found[member] & ~alone], coarsen(voxels)
-    return parts, np.sort(np.concatenate([*thin, pending[left]]))
+        closed[left] = found[member]
+    return parts, pending[~closed]
 
 
 def _plan_spacing_m(voxels: VoxelMoments, keys: Ints) -> Floats:
@@ -346,7 +350,7 @@ def _rectangle(
             next_m, corner_m = np.inf, 0.0
             for j in range(1, len(offset)):
                 d = offset[j, along] * (2 * end - 1)
-                if d <= 0 or abs(offset[j, across]) > 1.2 * spacing_m + 0.5 * d:
+                if d <= 0 or abs(offset[j, across]) > _ASIDE * spacing_m + 0.5 * d:
                     continue
                 if on[j]:
                     if 0.5 * spacing_m < d < next_m:
