@@ -106,7 +106,7 @@ def _dense_patches(voxels: VoxelMoments) -> tuple[list[Patches], Ints, Bools]:
             aside = planes.centroid - planes.offset[:, None] * planes.normal
             good &= (planes.variance[:, 0] <= _FLAT) & (planes.variance[:, 1] > _WIDE)
             good &= np.linalg.norm(aside, axis=1) <= _CENTRED
-        holes = _holes(keys, planes, good, voxels, _FLAT)
+        holes = _holes(keys, planes, good, voxels)
         by_size[level] = join([_patches(keys, planes, good, voxels.edge_m), holes])
         pending, voxels = pending[~good[member]], coarsen(voxels)
     return by_size, finest[pending], crowded[pending]
@@ -377,18 +377,18 @@ def _patches(keys: Ints, planes: Planes, chosen: Bools, size_m: float) -> Patche
     return patches_of_planes(cells, planes.normal[chosen], planes.offset[chosen], size_m)
 
 
-def _holes(keys: Ints, planes: Planes, good: Bools, voxels: VoxelMoments, flat: float) -> Patches:
+def _holes(keys: Ints, planes: Planes, good: Bools, voxels: VoxelMoments) -> Patches:
     """Patches in empty voxels whose neighbours surround them in one plane."""
-    flat_around = good & (planes.variance[:, 0] <= flat)
+    flat_around = good & (planes.variance[:, 0] <= _FLAT)
     found = open_neighbours(
         keys[flat_around], Planes(*(column[flat_around] for column in planes)), voxels
     )
-    around = fit_planes(found, voxels, _HOLE_POINTS, flat)
+    around = fit_planes(found, voxels, _HOLE_POINTS, _FLAT)
     steepest = np.abs(around.normal).max(axis=1, initial=1e-6)
     beside = around.centroid - around.offset[:, None] * around.normal
     hole = (
         (around.points >= _HOLE_POINTS)
-        & (around.spread <= flat)
+        & (around.spread <= _FLAT)
         & (np.linalg.norm(beside, axis=1) <= _CLOSE)
         & (np.abs(around.offset) <= 0.5 * steepest)
     )
